@@ -49,6 +49,8 @@ def _options(
 _OWN = (
     datasets.init,
     datasets.generate,
+    datasets.status,
+    datasets.merge,
     render.render,
     psf.psf,
     shutter.shutter,

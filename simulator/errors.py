@@ -3,8 +3,6 @@
 The command line prints an ``InputError`` as one message with exit code 2; any other exception is our own fault (1).
 """
 
-from pathlib import Path
-
 
 class InputError(ValueError):
     """Bad input.
@@ -17,7 +15,7 @@ class InputError(ValueError):
 
     place = ""
 
-    def __init__(self, path: str | Path, reason: str | None = None) -> None:
+    def __init__(self, path: object, reason: str | None = None) -> None:
         self.path, self.reason = ("", str(path)) if reason is None else (str(path), reason)
         super().__init__(self.path, self.reason)
 

@@ -93,6 +93,35 @@ def share(value: float) -> str:
     return f"{float(f'{percent:.3g}' if percent >= 10 else f'{percent:.2g}'):g} %"
 
 
+_TIME_UNITS = ((365.25 * 86400, "years"), (86400.0, "days"), (3600.0, "h"), (60.0, "min"), (1.0, "s"))
+_BYTE_UNITS = ((1e15, "PB"), (1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1.0, "bytes"))
+
+
+def duration(seconds: float) -> str:
+    """Return a time with the unit that people would use.
+
+    Example:
+        >>> duration(0.26), duration(95), duration(7.2e6)
+        ('0.26 s', '1.58 min', '83.3 days')
+    """
+    return _in_units(seconds, _TIME_UNITS)
+
+
+def size(count: float) -> str:
+    """Return a number of bytes with the unit that people would use.
+
+    Example:
+        >>> size(512), size(4.7e12)
+        ('512 bytes', '4.7 TB')
+    """
+    return _in_units(count, _BYTE_UNITS)
+
+
+def _in_units(value: float, units: tuple[tuple[float, str], ...]) -> str:
+    factor, unit = next(((f, u) for f, u in units if value >= f), units[-1])
+    return f"{float(f'{value / factor:.3g}'):g} {unit}"
+
+
 def documented(docstring: str, section: str) -> dict[str, str]:
     """Return the meaning of each entry of a section (``Args``, ``Attributes``) of a Google-style docstring, in one line each.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass
 from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
@@ -18,6 +18,7 @@ from pydantic_core import PydanticCustomError
 
 from simulator.errors import InputError
 from simulator.io.files import expanded
+from simulator.io.store import place
 from simulator.settings import Key, Settings, keys_of
 from simulator.text import KeyPath, dotted, nearest, show
 
@@ -96,8 +97,16 @@ def refusal(text: str, *at: str | int, on_key: bool = False) -> PydanticCustomEr
 
 
 def _expandable(text: str) -> str:
+    return _checked(text, expanded)
+
+
+def _placeable(text: str) -> str:
+    return _checked(text, place if "://" in text else expanded)
+
+
+def _checked(text: str, read: Callable[[str], object]) -> str:
     try:
-        expanded(text)
+        read(text)
     except InputError as error:
         raise PydanticCustomError("sense", "{text}", {"text": str(error), "at": (), "on_key": False}) from error
     return text
@@ -105,6 +114,8 @@ def _expandable(text: str) -> str:
 
 PathText = Annotated[str, Field(min_length=1), AfterValidator(_expandable)]
 """A file or folder as a user writes it; `simulator.io.files.expanded` makes a path of it."""
+OutputText = Annotated[str, Field(min_length=1), AfterValidator(_placeable)]
+"""The same, or a place in an object store; see `simulator.io.store.place`."""
 
 
 @dataclass(frozen=True)

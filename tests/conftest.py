@@ -204,7 +204,7 @@ class Trial:
         return result.path
 
 
-_KEPT = ("resource_tracker", "forkserver", "/ray/")  # by Python for the next test; by a module's Ray cluster
+_KEPT = ("resource_tracker", "forkserver", "/ray/", "moto.server")  # by Python; servers that a module's tests share
 
 
 def _children() -> dict[int, str]:

@@ -1,4 +1,4 @@
-"""``init``, ``generate``, ``verify``: data sets from a configuration."""
+"""``init``, ``generate``, ``status``, ``merge``, ``verify``: data sets from a configuration."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import typer
 
 from simulator.commands.shared import ConfigPath, Overrides
 from simulator.errors import InputError
+from simulator.io.store import Place
 
 _USE = re.compile(r"# [A-Z][^:]*: +flatlight ")  # in the head of a preset: what it is for
 
@@ -52,30 +53,35 @@ def generate(
         bool,
         typer.Option("--accept-exposure", help="go on where no value would carry signal: saturated, black or noise"),
     ] = False,
+    shard: Annotated[
+        str | None,
+        typer.Option("--shard", metavar="I/N", help="make part I of N, from 0; the others may run at the same time"),
+    ] = None,
 ) -> None:
     """Make a data set, or finish one that was begun."""
     from simulator.console import Bar
     from simulator.dataset.checksums import CONTACT_SHEET
     from simulator.dataset.job import generate as run
-    from simulator.dataset.manifest import FAILED, PROBLEMS, SKIPPED, shortened
-    from simulator.plots.contact_sheet import contact_sheet
-
-    def draw(root: Path) -> None:
-        contact_sheet(root, root / CONTACT_SHEET)
+    from simulator.dataset.manifest import FAILED, SKIPPED
+    from simulator.dataset.problems import PROBLEMS, shortened
+    from simulator.dataset.shards import Shard
 
     with Bar() as bar:
         result = run(
             config,
             set_ or [],
+            shard=None if shard is None else Shard.parsed(shard),
             skip_bad=skip_bad,
             accept_exposure=accept_exposure,
             progress=bar.update,
             say=bar.say,
-            finish=draw,
+            finish=_draw,
         )
     kept = f", {result.kept} were there before" if result.kept else ""
     print(f"{result.made} samples made in {result.seconds:.0f} s{kept}: {result.path}")
-    if result.made + result.kept:
+    if result.missing:
+        print(f"{result.missing} samples are left to other shards: flatlight status {result.path}")
+    elif result.made + result.kept:
         print(f"look at {result.path / CONTACT_SHEET}")
     if result.problems:
         print(f"of the source was left out what {result.path / PROBLEMS} lists: {len(result.problems)} in all")
@@ -95,8 +101,49 @@ def generate(
         raise typer.Exit(1)
 
 
+def status(
+    path: Annotated[str, typer.Argument(help="folder of the data set, or its place in an object store")],
+    shards: Annotated[
+        int | None, typer.Option("--shards", metavar="N", help="name the shards of N that have samples left")
+    ] = None,
+) -> None:
+    """Say how much of a data set is done, what failed and what is missing; while it is being made, from any machine."""
+    from simulator.dataset.status import status as run
+
+    print(run(path, shards))
+
+
+def merge(
+    output: Annotated[str, typer.Argument(help="the data set that the samples come together in; may be a new folder")],
+    parts: Annotated[list[str], typer.Argument(help="folders of data sets of the same configuration")],
+) -> None:
+    """Make one data set of parts that were made apart."""
+    from simulator.console import Bar
+    from simulator.dataset.merging import merge as run
+
+    with Bar() as bar:
+        result = run(
+            output,
+            parts,
+            progress=lambda done, total: bar.update("samples looked at", done, total),
+            finish=_draw,
+        )
+    for line in result.problems:
+        print(f"not taken: {line}", file=sys.stderr)
+    print(f"{result.taken} samples taken, {result.there} were there before, {result.missing} missing: {result.path}")
+    if result.problems:
+        raise typer.Exit(1)
+
+
+def _draw(root: Place) -> None:
+    from simulator.dataset.checksums import CONTACT_SHEET
+    from simulator.plots.contact_sheet import contact_sheet
+
+    contact_sheet(root, root / CONTACT_SHEET)
+
+
 def verify(
-    path: Annotated[Path, typer.Argument(help="folder of the data set")],
+    path: Annotated[str, typer.Argument(help="folder of the data set, or its place in an object store")],
     workers: Annotated[int, typer.Option(min=1, help="processes that check samples")] = 1,
     seal: Annotated[
         bool, typer.Option("--seal", help="write checksums.json where it is all that is missing, as in older data sets")

@@ -19,6 +19,7 @@ from simulator.config.schema import Config
 from simulator.config.yaml import Origins, apply_overrides, read_yaml
 from simulator.errors import InputError
 from simulator.io.images import read_light
+from simulator.io.store import Place
 from simulator.optics.materials import load_material
 from simulator.optics.spectra import camera_curves, illuminant_curve
 from simulator.text import KeyPath, show
@@ -97,7 +98,7 @@ def _read(path: str | Path, overrides: Sequence[str]) -> tuple[dict[str, Any], O
     return apply_overrides(document, overrides, str(path))
 
 
-def config_from_dict(data: Mapping[str, Any], base_dir: Path | None = None, *, check_plugins: bool = True) -> Config:
+def config_from_dict(data: Mapping[str, Any], base_dir: Place | None = None, *, check_plugins: bool = True) -> Config:
     """Make a Config from plain data, such as :func:`dump` returns.
 
     Args:
@@ -109,7 +110,8 @@ def config_from_dict(data: Mapping[str, Any], base_dir: Path | None = None, *, c
     Raises:
         InputError: one line per fault.
     """
-    return _build(dict(data), (base_dir or Path()).resolve(), Origins(), check_plugins)
+    folder = base_dir if isinstance(base_dir, Path) else Path()  # in a store there are no files of a user's
+    return _build(dict(data), folder.resolve(), Origins(), check_plugins)
 
 
 def dump(config: Config) -> dict[str, Any]:

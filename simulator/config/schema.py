@@ -17,7 +17,7 @@ from simulator.errors import InputError
 from simulator.io.files import StorageError, expanded
 from simulator.settings import Range
 from simulator.text import KeyPath, dotted, key_path, nearest, show
-from simulator.validation import PathText, PluginSection, Section, refusal
+from simulator.validation import OutputText, PluginSection, Section, refusal
 
 Count = Annotated[int, Range(0, 100_000_000, below="a number of samples is not negative")]
 
@@ -132,7 +132,7 @@ class RayConfig(Section):
 class DatasetConfig(Section):
     """What is written, how much of it, and by how many workers."""
 
-    output: PathText = Field(description="folder of the data set")
+    output: OutputText = Field(description="folder of the data set, or a place in an object store: s3://BUCKET/FOLDER")
     train: Count = Field(default=0, description="number of training samples")
     validation: Count = Field(default=0, description="number of validation samples")
     test: Count = Field(default=0, description="number of test samples")

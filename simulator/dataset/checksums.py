@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import Any
 
 from simulator.dataset.dataset_info import FILE
-from simulator.dataset.manifest import FAILED, MANIFEST, PROBLEMS, SKIPPED
+from simulator.dataset.manifest import FAILED, MANIFEST, SKIPPED
+from simulator.dataset.problems import PROBLEMS
 from simulator.errors import InputError
-from simulator.io.files import read_text, sha256_bytes, sha256_file, storage_errors, sync_folder, write_atomic
+from simulator.io.files import read_text, remove_file, sha256_bytes, sha256_file, write_atomic
 from simulator.io.json import canonical_json, readable_json
+from simulator.io.store import Place, relative_name
 from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, is_stack_file
 
 CHECKSUMS = "checksums.json"
@@ -24,14 +26,14 @@ CONTACT_SHEET = "contact_sheet.png"
 _STACKS = (PSF_FOLDER, CAPTURED_FOLDER)
 
 
-def files_to_seal(root: Path) -> list[str]:
+def files_to_seal(root: Place) -> list[str]:
     """Return the names, below ``root``, of the files there that no sample's digest covers, but the seal itself."""
     names = [name for name in (FILE, MANIFEST, SKIPPED, FAILED, PROBLEMS, CONTACT_SHEET) if (root / name).exists()]
-    stacks = [path for folder in _STACKS for path in sorted((root / folder).glob("*")) if is_stack_file(path)]
-    return names + [path.relative_to(root).as_posix() for path in stacks]
+    stacks = [path for folder in _STACKS for path in sorted((root / folder).glob("*")) if is_stack_file(path.name)]
+    return names + [relative_name(path, root) for path in stacks]
 
 
-def write_seal(root: Path) -> None:
+def write_seal(root: Place) -> None:
     """Write ``checksums.json``; to be called last, by whoever holds the manifest's lock.
 
     Raises:
@@ -42,7 +44,7 @@ def write_seal(root: Path) -> None:
     write_atomic(root / CHECKSUMS, _content(hashes))
 
 
-def read_seal(root: Path) -> dict[str, str] | None:
+def read_seal(root: Place) -> dict[str, str] | None:
     """Return the hashes by the file's name below ``root``; None where there is no seal.
 
     Raises:
@@ -66,7 +68,7 @@ def read_seal(root: Path) -> dict[str, str] | None:
     return hashes
 
 
-def changed_files(root: Path, hashes: Mapping[str, str]) -> Iterator[InputError]:
+def changed_files(root: Place, hashes: Mapping[str, str]) -> Iterator[InputError]:
     """Yield an error for every sealed file that is gone or has another content; of a folder that is gone only one."""
     gone = set()
     for name, expected in hashes.items():
@@ -88,7 +90,7 @@ def changed_files(root: Path, hashes: Mapping[str, str]) -> Iterator[InputError]
             yield InputError(path, f"has other content than {CHECKSUMS} says (SHA-256 differs); restore it from a copy")
 
 
-def unseal(root: Path) -> None:
+def unseal(root: Place) -> None:
     """Remove the seal before a data set grows.
 
     Lines of the manifest and whole stacks may be gone, which the run makes again.
@@ -103,9 +105,7 @@ def unseal(root: Path) -> None:
     there = {FILE, *(f"{name}/" for name in _STACKS if (root / name).exists())}
     for error in changed_files(root, {name: digest for name, digest in hashes.items() if _top(name) in there}):
         raise error
-    with storage_errors(root / CHECKSUMS):
-        (root / CHECKSUMS).unlink()
-        sync_folder(root)
+    remove_file(root / CHECKSUMS)
 
 
 def _content(hashes: Any) -> bytes:

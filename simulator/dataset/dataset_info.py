@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from simulator.errors import InputError
 from simulator.io.exr import MAX_VALUES
 from simulator.io.files import write_atomic
 from simulator.io.json import plain, readable_json
+from simulator.io.store import Place, place
 from simulator.settings import fields_from
 from simulator.text import show
 
@@ -126,23 +126,23 @@ class DatasetInfo:
             raise InputError(_SHUTTER, str(error)) from error
 
 
-def write_info(root: Path | str, info: DatasetInfo) -> None:
+def write_info(root: Place | str, info: DatasetInfo) -> None:
     """Write ``dataset.json`` into the folder ``root``, whole or not at all.
 
     Raises:
         StorageError: the folder is missing or protected, or the disk is full.
     """
     content = {"format": FORMAT, "format_version": FORMAT_VERSION} | asdict(info)
-    write_atomic(Path(root) / FILE, readable_json(content))
+    write_atomic(place(root) / FILE, readable_json(content))
 
 
-def read_info(root: Path | str) -> DatasetInfo:
+def read_info(root: Place | str) -> DatasetInfo:
     """Read ``dataset.json`` from the folder ``root``.
 
     Raises:
         InputError: no such folder, not a data set, made by a newer version, or a damaged file.
     """
-    root = Path(root)
+    root = place(root)
     path = root / FILE
     if not root.is_dir():
         raise InputError(root, "no such folder; give the folder that `flatlight generate` wrote (dataset.output)")

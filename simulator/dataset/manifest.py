@@ -1,27 +1,44 @@
-"""What a run made, left out and failed to make: a line each, appended by one process to a file for each of the three."""
+"""What runs made, left out and failed to make: a line each, in a file for each of the three.
+
+A run that is alone appends to the lists of the data set; each of several at a time to lists of its own, below ``writers/``.
+What a data set holds is the union of all. The last run to end merges them.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from itertools import chain, pairwise
+from types import TracebackType
+from typing import Any, Self, TypeVar
 
 from simulator.dataset.sample import SPLITS, SampleRecord, sample_id, sample_index
 from simulator.errors import InputError
-from simulator.io.files import AppendedLines, line_of, read_lines, write_atomic
+from simulator.io.files import read_errors, remove_folder, write_atomic
+from simulator.io.lines import AppendedLines, StoredLines, line_of, read_lines
+from simulator.io.store import Place, StorePath, place
 
-MANIFEST = "manifest.jsonl"
+MANIFEST, SKIPPED, FAILED = "manifest.jsonl", "skipped.jsonl", "failed.jsonl"
+WRITERS = "writers"
+STAGES = ("scene", "exposure", "files")
+"""What a sample's time goes into: the scene's clip, its light on the sensor, noise and files."""
+
 Key = tuple[str, str]  # split and id
 Result = TypeVar("Result")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Entry(SampleRecord):
-    """A line of the manifest: the sample's record and the seconds its making took."""
+    """A line of the manifest.
+
+    Attributes:
+        seconds: that the making of the sample took, wall time.
+        stages: how much of it each of ``STAGES`` took; empty in data sets of versions that did not tell.
+    """
 
     seconds: float
+    stages: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -34,7 +51,7 @@ class Manifest:
         duplicates: how many lines were replaced by later ones.
     """
 
-    entries: dict[tuple[str, str], Entry]
+    entries: dict[Key, Entry]
     torn: bool
     duplicates: int
 
@@ -43,44 +60,218 @@ class Manifest:
         return [identifier for name, identifier in self.entries if name == split]
 
 
-def load_manifest(root: Path | str) -> Manifest:
+@dataclass(frozen=True)
+class FailedSample:
+    """Why a sample could not be made: the last error, how often it was tried, and the traceback as text."""
+
+    reason: str
+    attempts: int
+    traceback: str
+
+
+# ---- reading
+
+
+def load_manifest(root: Place | str) -> Manifest:
     """Load a data set's manifest; a missing file is an empty one.
 
     Raises:
         InputError: unreadable file, or a bad line before the last.
     """
-    lines, torn = read_lines(Path(root) / MANIFEST)
-    expected = f"{', '.join(field.name for field in fields(Entry))}; delete the line, and its sample is made again"
-    entries = _by_sample(Path(root) / MANIFEST, lines, _entry, expected)
-    return Manifest(entries, torn, duplicates=len(lines) - len(entries))
+    return _settled(lambda: _manifest(place(root)))
 
 
-def _entry(content: dict[str, Any]) -> Entry | None:
-    entry = Entry(**content)
-    typed = isinstance(entry.seed, int) and isinstance(entry.label, str | None)
-    return entry if typed and len(entry.digest) == 64 and isinstance(entry.seconds, int | float) else None
+def _manifest(root: Place) -> Manifest:
+    entries: dict[Key, Entry] = {}
+    lines, torn = 0, False
+    for where, line in _lines(root, MANIFEST):
+        if not line.endswith(b"\n"):
+            torn = True
+            continue
+        content, key = _content(where, line, _is_entry, _ENTRY)
+        content["stages"] = tuple(content.get("stages", ()))
+        entries[key] = Entry(**content)
+        lines += 1
+    return Manifest(_in_order(entries), torn, lines - len(entries))
+
+
+def finished_samples(root: Place | str) -> dict[str, set[int]]:
+    """Return the numbers of the finished samples by split: what a run has to know of a million.
+
+    Raises:
+        InputError: see `load_manifest`.
+    """
+
+    def collect() -> dict[str, set[int]]:
+        found: dict[str, set[int]] = {split: set() for split in SPLITS}
+        for where, line in _lines(place(root), MANIFEST):
+            if line.endswith(b"\n"):
+                _, (split, name) = _content(where, line, _is_entry, _ENTRY)
+                found[split].add(int(name[1:]))
+        return found
+
+    return _settled(collect)
+
+
+def load_skipped(root: Place | str) -> dict[Key, str]:
+    """Return why samples were left out, by (split, id) in order; empty without a list.
+
+    Raises:
+        InputError: unreadable file, or a bad line before the last.
+    """
+    found = _by_sample(place(root), SKIPPED, lambda content: isinstance(content["reason"], str), "id, split, reason")
+    return {key: content["reason"] for key, content in found.items()}
+
+
+def load_failed(root: Place | str) -> dict[Key, FailedSample]:
+    """Return the samples that could not be made and are not finished since; errors as `load_skipped`."""
+    root = place(root)
+
+    def is_failure(content: dict[str, Any]) -> bool:
+        return (
+            all(isinstance(content[name], str) for name in ("reason", "traceback")) and type(content["attempts"]) is int
+        )
+
+    found = _by_sample(root, FAILED, is_failure, "id, split, reason, attempts, traceback")
+    if not found:
+        return {}
+    finished = finished_samples(root)
+    names = ("reason", "attempts", "traceback")
+    return {
+        key: FailedSample(*(content[name] for name in names))
+        for key, content in found.items()
+        if sample_index(key[1]) not in finished[key[0]]
+    }
+
+
+_ENTRY = "id, split, digest, seed, label, seconds"
+_KEYS = frozenset(_ENTRY.split(", "))
+
+
+def _is_entry(content: dict[str, Any]) -> bool:
+    stages = content.get("stages", ())
+    return (
+        content.keys() - {"stages"} == _KEYS
+        and isinstance(content["seed"], int)
+        and isinstance(content["label"], str | None)
+        and len(content["digest"]) == 64
+        and isinstance(content["seconds"], int | float)
+        and all(isinstance(seconds, int | float) for seconds in stages)
+    )
 
 
 def _by_sample(
-    path: Path, lines: list[bytes], read: Callable[[Any], Result | None], expected: str
-) -> dict[Key, Result]:
-    """Return what ``read`` makes of each line by (split, id), in order; the last line of a sample wins."""
-    found: dict[Key, Result] = {}
-    for number, line in enumerate(lines, start=1):
+    root: Place, name: str, fits: Callable[[dict[str, Any]], bool], expected: str
+) -> dict[Key, dict[str, Any]]:
+    """Return the content of each line by (split, id), in order; the last line of a sample wins."""
+
+    def collect() -> dict[Key, dict[str, Any]]:
+        whole = ((where, line) for where, line in _lines(root, name) if line.endswith(b"\n"))
+        pairs = (_content(where, line, fits, expected) for where, line in whole)
+        return _in_order({key: content for content, key in pairs})
+
+    return _settled(collect)
+
+
+def _content(
+    where: tuple[Place, int], line: bytes, fits: Callable[[dict[str, Any]], bool], expected: str
+) -> tuple[dict[str, Any], Key]:
+    """Return what a line holds, and its sample.
+
+    Raises:
+        InputError: naming the file and the line.
+    """
+    try:
+        content = json.loads(line)
+        key = content["split"], content["id"]
+        if fits(content) and key[0] in SPLITS and sample_index(key[1]) >= 0:
+            return content, key
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        pass
+    raise InputError(f"{where[0]}:{where[1]}", f"expected {expected}; delete the line, and its sample is made again")
+
+
+def _lines(root: Place, name: str) -> Iterator[tuple[tuple[Place, int], bytes]]:
+    """Yield the lines of a list and of every writer's with the file and the number of each."""
+    others = writers_files(root, name)  # listed before anything is read: what is merged meanwhile is missed from them
+    yield from (((root / name, number), line) for number, line in enumerate(read_lines(root / name), start=1))
+    for path in others:
+        lines = read_lines(path)
+        if (first := next(lines, None)) is None and not path.exists():
+            raise _MergedError
+        yield from (((path, number), line) for number, line in enumerate(chain(filter(None, [first]), lines), start=1))
+
+
+def writers_files(root: Place, name: str) -> list[Place]:
+    """Return the files of a list that writers of their own have not merged yet."""
+    with read_errors(root / WRITERS):
+        return sorted((root / WRITERS).glob(f"*/{name.removesuffix('.jsonl')}*.jsonl"))
+
+
+class _MergedError(Exception):
+    """A writer's list is gone since the folder was listed: the run that ended last has merged it."""
+
+
+def _settled(collect: Callable[[], Result]) -> Result:
+    while True:
         try:
-            content = json.loads(line)
-            value, key = read(content), (content["split"], content["id"])
-            valid = value is not None and key[0] in SPLITS and sample_index(key[1]) >= 0
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-            value, key, valid = None, ("", ""), False
-        if value is None or not valid:
-            raise InputError(f"{path}:{number}", f"expected {expected}")
-        found[key] = value
-    return dict(sorted(found.items(), key=lambda item: (SPLITS.index(item[0][0]), item[0][1])))
+            return collect()
+        except _MergedError:
+            continue
 
 
-class ManifestWriter(AppendedLines):
-    """Appends finished samples; one writer per data set, in the parent process only.
+def _in_order(found: dict[Key, Result]) -> dict[Key, Result]:
+    def rank(key: Key) -> tuple[int, str]:
+        return SPLITS.index(key[0]), key[1]
+
+    if all(rank(first) < rank(second) for first, second in pairwise(found)):
+        return found
+    return {key: found[key] for key in sorted(found, key=rank)}
+
+
+# ---- writing
+
+
+class _ListWriter:
+    """Appends to one of the lists in a folder: that of a data set, or a writer's own below ``writers/``.
+
+    Attributes:
+        folder: where the list lies.
+        locked: whether no other process can write to it: not known where the file system has no locks.
+    """
+
+    name: str
+
+    def __init__(self, folder: Place | str) -> None:
+        """Open the list (made when missing).
+
+        Raises:
+            InputError: another process is writing to it.
+            StorageError: the folder cannot be written to.
+        """
+        self.folder = place(folder)
+        path = self.folder / self.name
+        self._lines = StoredLines(path) if isinstance(path, StorePath) else AppendedLines(path)
+        self.locked = self._lines.locked
+
+    def _append(self, split: str, identifier: str, content: dict[str, Any]) -> None:
+        self._lines.append_line({"id": identifier, "split": split} | content)
+
+    def close(self) -> None:
+        """Release the list; may be called twice."""
+        self._lines.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class ManifestWriter(_ListWriter):
+    """Appends finished samples.
 
     Example:
         >>> import tempfile
@@ -91,35 +282,18 @@ class ManifestWriter(AppendedLines):
         ['s00000000']
     """
 
-    def __init__(self, root: Path | str) -> None:
-        """Open the manifest in the folder ``root``; see `AppendedLines`."""
-        super().__init__(Path(root) / MANIFEST)
+    name = MANIFEST
 
-    def append(self, record: SampleRecord, seconds: float) -> None:
+    def append(self, record: SampleRecord, seconds: float, stages: tuple[float, ...] = ()) -> None:
         """Add one line; see `AppendedLines.append_line`."""
-        self.append_line(asdict(record) | {"seconds": round(float(seconds), 4)})
-
-    def drop_duplicates(self) -> None:
-        """Keep the last line of each sample only; closes the file, so to be called after the last ``append``.
-
-        Raises:
-            InputError: see `load_manifest`.
-            StorageError: the disk is full; the file stays as it was before.
-        """
-        manifest = load_manifest(self.path.parent)
-        if manifest.duplicates:
-            write_atomic(self.path, b"".join(line_of(asdict(entry)) for entry in manifest.entries.values()))
-            self.close()  # the file that is locked is no longer the manifest
+        times = {"seconds": round(float(seconds), 4), "stages": [round(float(part), 4) for part in stages]}
+        self._append(
+            record.split, record.id, asdict(record) | {name: time for name, time in times.items() if time != []}
+        )
 
 
-SKIPPED = "skipped.jsonl"
-FAILED = "failed.jsonl"
-PROBLEMS = "source_problems.txt"
-_SHOWN = 20
-
-
-class SkippedWriter(AppendedLines):
-    """Appends samples that were left out; to be used by whoever holds the manifest's lock.
+class SkippedWriter(_ListWriter):
+    """Appends samples that were left out.
 
     Example:
         >>> import tempfile
@@ -130,78 +304,61 @@ class SkippedWriter(AppendedLines):
         {('train', 's00000003'): 'clip.webm is truncated'}
     """
 
-    def __init__(self, root: Path | str) -> None:
-        """Open the list in the folder ``root``; see `AppendedLines`."""
-        super().__init__(Path(root) / SKIPPED)
+    name = SKIPPED
 
     def append(self, split: str, index: int, reason: str) -> None:
         """Add why a sample cannot be made; see `AppendedLines.append_line`."""
-        self.append_line({"id": sample_id(index), "split": split, "reason": reason})
+        self._append(split, sample_id(index), {"reason": reason})
 
 
-class FailedWriter(AppendedLines):
-    """Appends samples that could not be made; the next run tries them again, and begins this list anew.
+class FailedWriter(_ListWriter):
+    """Appends samples that could not be made; a later run tries them again.
 
     Example:
         >>> import tempfile
         >>> with tempfile.TemporaryDirectory() as root:
         ...     with FailedWriter(root) as writer:
         ...         writer.append("train", 3, "SystemExit: 0", 3, "Traceback ...")
-        ...     print((Path(root) / FAILED).read_text(), end="")
-        {"id":"s00000003","split":"train","reason":"SystemExit: 0","attempts":3,"traceback":"Traceback ..."}
+        ...     load_failed(root)
+        {('train', 's00000003'): FailedSample(reason='SystemExit: 0', attempts=3, traceback='Traceback ...')}
     """
 
-    def __init__(self, root: Path | str) -> None:
-        """Open the list in the folder ``root``; see `AppendedLines`."""
-        super().__init__(Path(root) / FAILED)
+    name = FAILED
 
     def append(self, split: str, index: int, reason: str, attempts: int, traceback: str) -> None:
         """Add why a sample could not be made; see `AppendedLines.append_line`."""
-        self.append_line(
-            {"id": sample_id(index), "split": split, "reason": reason, "attempts": attempts, "traceback": traceback}
-        )
+        self._append(split, sample_id(index), {"reason": reason, "attempts": attempts, "traceback": traceback})
 
 
-def load_skipped(root: Path | str) -> dict[Key, str]:
-    """Return why samples were left out, by (split, id) in order; empty without a list.
+def merge_lists(root: Place) -> None:
+    """Merge all writers' lists into those of the data set, one line a sample; nobody else may be writing.
 
     Raises:
-        InputError: unreadable file, or a bad line before the last.
+        InputError: see `load_manifest`.
+        StorageError: the disk is full; the lists stay as they were before.
     """
-    path = Path(root) / SKIPPED
-    expected = "id, split, reason; delete the line, and its sample is tried"
-    return _by_sample(path, read_lines(path)[0], _reason, expected)
-
-
-def _reason(content: dict[str, Any]) -> str | None:
-    return content["reason"] if isinstance(content["reason"], str) else None
-
-
-def shortened(lines: Sequence[str]) -> str:
-    """Return lines as text, of many only the first, and how many more there are."""
-    more = len(lines) - _SHOWN
-    return "\n".join([*(f"  {line}" for line in lines[:_SHOWN]), *([f"  and {more} more"] if more > 0 else [])])
-
-
-def refuse_problems(problems: Sequence[str]) -> None:
-    """Refuse a source that cannot use some of its files.
-
-    Raises:
-        InputError: naming them and why.
-    """
-    if problems:
-        raise InputError(
-            "scene",
-            f"its source has {_counted(len(problems))}:\n{shortened(problems)}\nmend or remove what is named, or "
-            "leave it out: flatlight generate --skip-bad",
+    with read_errors(root / WRITERS):
+        many = (root / WRITERS).exists()
+    manifest = load_manifest(root)
+    if many or manifest.duplicates:
+        write_atomic(
+            root / MANIFEST, b"".join(line_of(_without_defaults(entry)) for entry in manifest.entries.values())
         )
+    if not many:
+        return
+    rest: dict[str, dict[Key, dict[str, Any]]] = {
+        SKIPPED: {key: {"reason": reason} for key, reason in load_skipped(root).items()},
+        FAILED: {key: asdict(failure) for key, failure in load_failed(root).items()},
+    }
+    for name, found in rest.items():
+        if found:
+            lines = (line_of({"id": key[1], "split": key[0]} | content) for key, content in found.items())
+            write_atomic(root / name, b"".join(lines))
+    remove_folder(root / WRITERS)
 
 
-def list_problems(root: Path, problems: Sequence[str]) -> str:
-    """Write down what a source cannot use and return it as lines to be read."""
-    write_atomic(root / PROBLEMS, "".join(f"{line}\n" for line in problems).encode())
-    return f"{_counted(len(problems))} of the source, gone on without ({PROBLEMS} lists all):\n{shortened(problems)}"
-
-
-def _counted(count: int) -> str:
-    return "1 problem" if count == 1 else f"{count} problems"
+def _without_defaults(entry: Entry) -> dict[str, Any]:
+    content = asdict(entry)
+    if not entry.stages:
+        del content["stages"]
+    return content

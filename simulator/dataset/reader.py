@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
@@ -22,6 +21,7 @@ from simulator.dataset.sample import (
     sample_index,
 )
 from simulator.errors import InputError
+from simulator.io.store import Place, place
 
 
 class Dataset(Sequence[Sample]):
@@ -37,7 +37,7 @@ class Dataset(Sequence[Sample]):
         info: the content of ``dataset.json``.
     """
 
-    def __init__(self, root: Path, split: str, ids: tuple[str, ...], info: DatasetInfo) -> None:
+    def __init__(self, root: Place, split: str, ids: tuple[str, ...], info: DatasetInfo) -> None:
         self.root, self.split, self.ids, self.info = root, split, ids, info
 
     @property
@@ -64,7 +64,7 @@ class Dataset(Sequence[Sample]):
             "time": self.info.time,
         }
 
-    def folder(self, position: int) -> Path:
+    def folder(self, position: int) -> Place:
         """Return the folder of the sample at a position.
 
         Raises:
@@ -147,28 +147,28 @@ class Dataset(Sequence[Sample]):
         return f"Dataset({str(self.root)!r}, split={self.split!r}, {len(self)} samples)"
 
 
-def open_dataset(path: Path | str, split: str = "train") -> Dataset:
+def open_dataset(path: Place | str, split: str = "train") -> Dataset:
     """Open one split of a data set; samples are read when they are asked for.
 
     Args:
-        path: the folder that ``flatlight generate`` wrote.
+        path: the folder, or the place in an object store, that ``flatlight generate`` wrote.
         split: ``train``, ``validation`` or ``test``.
 
     Raises:
         InputError: no such folder, not a data set, or a split that it does not have.
     """
-    root = Path(path)
+    root = place(path)
     info = read_info(root)
     if split not in SPLITS or split not in info.counts:
         raise InputError("split", f"expected one of {', '.join(info.counts)} for {root}, got {split!r}")
     return Dataset(root, split, tuple(load_manifest(root).ids(split)), info)
 
 
-def all_metadata(root: Path | str) -> Iterator[dict[str, Any]]:
+def all_metadata(root: Place | str) -> Iterator[dict[str, Any]]:
     """Yield the metadata of each finished sample of a data set; damaged ones, which `verify` names, are left out."""
     for split, name in load_manifest(root).entries:
         with suppress(InputError):
-            yield read_description(sample_folder(Path(root), split, sample_index(name)))[0]["metadata"]
+            yield read_description(sample_folder(place(root), split, sample_index(name)))[0]["metadata"]
 
 
 def spread_positions(length: int, count: int) -> list[int]:

@@ -5,9 +5,11 @@ A worker builds its ``SampleMaker`` once and then makes any sample of the data s
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +22,11 @@ from simulator.camera.shutter import Shutter
 from simulator.camera.slivers import exposed_part, sliver_means
 from simulator.camera.surroundings import surrounded
 from simulator.config import Config
+from simulator.config.schema import DatasetConfig
 from simulator.dataset.clips import ClipOrder, check_clip, clip_order, durations_s
+from simulator.dataset.engines import Outcome, available_cpus, run
 from simulator.dataset.sample import Sample, SampleRecord, write_sample
+from simulator.io.store import Place
 from simulator.optics.stack_files import read_psf_stack
 from simulator.plugins import plugin_errors
 from simulator.seeds import generator
@@ -44,7 +49,7 @@ class Recipe:
 
     config: Config
     backend: str
-    psf_folder: Path
+    psf_folder: Place
     source: SceneSource | None
     shutter: Shutter
     view: View
@@ -52,7 +57,13 @@ class Recipe:
 
 
 class SampleMaker:
-    """A recipe with its tools laid out: PSF spectra, shutter, sensor, scene source."""
+    """A recipe with its tools laid out: PSF spectra, shutter, sensor, scene source.
+
+    Attributes:
+        scene_s: seconds that the scene of the last sample took.
+    """
+
+    scene_s = 0.0
 
     def __init__(self, recipe: Recipe) -> None:
         """Read the PSF stack and prepare the forward model: about a second."""
@@ -70,8 +81,10 @@ class SampleMaker:
 
     def exposure(self, split: str, index: int) -> tuple[Clip, NDArray[np.float32]]:
         """Return the part of a sample's clip that the shutter sees, and the noiseless exposure ``(C, H, W)`` it gives."""
+        begin = time.perf_counter()
         with plugin_errors(self._plugin):
             clip = scene_clip(self._source, self._seed, split, index, self._order)
+        self.scene_s = time.perf_counter() - begin
         shutter, rows = self._model.shutter, self._model.sensor_shape[0]
         if shutter is not None:
             check_clip(clip, shutter, rows, self._chosen.slivers)
@@ -177,8 +190,51 @@ def make_pilot(index: int) -> NDArray[np.float32]:
     return _maker.exposure("pilot", index)[1]
 
 
-def make_sample(task: tuple[str, str, int]) -> SampleRecord:
-    """Make and write one sample; ``task`` is (data set folder, split, index)."""
+def make_sample(task: tuple[Place, str, int]) -> tuple[SampleRecord, tuple[float, ...]]:
+    """Make and write one sample; ``task`` is (data set, split, index).
+
+    Returns:
+        Its record, and the seconds that each of `simulator.dataset.manifest.STAGES` took.
+    """
     assert _maker is not None
     root, split, index = task
-    return write_sample(Path(root), split, index, _maker.sample(split, index))
+    begin = time.perf_counter()
+    sample = _maker.sample(split, index)
+    made = time.perf_counter()
+    record = write_sample(root, split, index, sample)
+    return record, (_maker.scene_s, made - begin - _maker.scene_s, time.perf_counter() - made)
+
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+def perform(
+    chosen: DatasetConfig,
+    function: Callable[[Task], Result],
+    tasks: Iterable[Task],
+    count: int,
+    recipe: Recipe | None = None,
+) -> Iterator[Outcome[Task, Result]]:
+    """Apply one of the functions above to ``count`` tasks on the engine that a configuration chose.
+
+    ``recipe``: with which workers are prepared, for what needs that.
+    """
+    if not count:
+        return
+    workers: int | str = chosen.workers
+    if chosen.engine == "local":
+        workers = min(available_cpus() if workers == "auto" else int(workers), count)
+    outcomes = run(
+        chosen.engine,
+        function,
+        tasks,
+        workers=workers,
+        initializer=None if recipe is None else start_worker,
+        initargs=() if recipe is None else (recipe,),
+        timeout_s=chosen.timeout_s,
+        ray=chosen.ray,
+    )
+    assert isinstance(outcomes, Generator)  # leaving it early stops the workers
+    with closing(outcomes):
+        yield from outcomes

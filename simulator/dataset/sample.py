@@ -17,6 +17,7 @@ from simulator.io.clips import TRUTH, describe_extras, frame_channels, frame_ext
 from simulator.io.exr import decode_exr, write_exr
 from simulator.io.files import committed_folder, read_errors, sha256_bytes, write_atomic
 from simulator.io.json import are_names, check_keys, plain, readable_json
+from simulator.io.store import Place, place
 from simulator.types import Clip, Surroundings
 
 MEASUREMENT, GROUND_TRUTH, DESCRIPTION = "measurement.exr", "ground_truth.exr", "sample.json"
@@ -68,13 +69,13 @@ def digest_of(hashes: Mapping[str, str]) -> str:
     return sha256_bytes("".join(f"{name} {hashes[name]}\n" for name in sorted(hashes)).encode())
 
 
-def read_description(folder: Path) -> tuple[dict[str, Any], bytes]:
+def read_description(folder: Place) -> tuple[dict[str, Any], bytes]:
     """Read ``sample.json``: its content and its bytes.
 
     Raises:
         InputError: missing or not what ``write_sample`` wrote.
     """
-    path = Path(folder) / DESCRIPTION
+    path = folder / DESCRIPTION
     cure = "make the sample again or restore it from a copy"
     with read_errors(path):
         data = path.read_bytes()
@@ -227,7 +228,7 @@ _IN_BATCHES = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class SampleRecord:
     """What the manifest keeps of a finished sample.
 
@@ -271,7 +272,7 @@ def sample_index(identifier: str) -> int:
     return int(digits)
 
 
-def sample_folder(root: Path, split: str, index: int) -> Path:
+def sample_folder(root: Place, split: str, index: int) -> Place:
     """Return the folder of a sample; at most a thousand samples share a parent.
 
     Example:
@@ -280,10 +281,10 @@ def sample_folder(root: Path, split: str, index: int) -> Path:
     """
     if split not in SPLITS:
         raise InputError("split", f"expected one of {', '.join(SPLITS)}, got {split!r}")
-    return Path(root) / split / f"{index // 1000:04d}" / sample_id(index)
+    return root / split / f"{index // 1000:04d}" / sample_id(index)
 
 
-def write_sample(root: Path | str, split: str, index: int, sample: Sample) -> SampleRecord:
+def write_sample(root: Place | str, split: str, index: int, sample: Sample) -> SampleRecord:
     """Write a sample's folder, which appears whole or not at all; the same sample gives the same bytes.
 
     Args:
@@ -296,9 +297,9 @@ def write_sample(root: Path | str, split: str, index: int, sample: Sample) -> Sa
         InputError: too many frames, or values that cannot be stored (NaN, inf).
         StorageError: the disk is full or protected; nothing is left of this sample.
     """
-    folder = sample_folder(Path(root), split, index)
+    folder = sample_folder(place(root), split, index)
     description = _describe(sample, split, index)
-    with committed_folder(folder) as temporary:
+    with committed_folder(folder, DESCRIPTION) as temporary:
         hashes = {
             name: sha256_bytes(write_exr(temporary / name, channels, file_metadata(description, frame)))
             for name, frame, channels in _files(temporary, sample)
@@ -399,7 +400,7 @@ class StoredSample:
     """
 
     def __init__(
-        self, folder: Path | str, description: dict[str, Any] | None = None, files: Mapping[str, bytes] | None = None
+        self, folder: Place | str, description: dict[str, Any] | None = None, files: Mapping[str, bytes] | None = None
     ) -> None:
         """Read ``sample.json``.
 
@@ -411,7 +412,7 @@ class StoredSample:
         Raises:
             InputError: no sample, or a damaged ``sample.json``.
         """
-        self.folder = Path(folder)
+        self.folder = place(folder)
         self.description = read_description(self.folder)[0] if description is None else description
         self.channels: tuple[str, ...] = tuple(self.description["channels"])
         self.label: str | None = self.description["label"]

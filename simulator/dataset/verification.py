@@ -28,6 +28,7 @@ from simulator.dataset.sample import (
 )
 from simulator.errors import InputError
 from simulator.io.files import TEMPORARY_PREFIX, read_errors, sha256_bytes
+from simulator.io.store import Place, place, relative_name
 from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, read_psf_stack
 
 
@@ -66,7 +67,7 @@ class Report:
 
 
 def verify(
-    path: Path | str,
+    path: Place | str,
     *,
     workers: int | str = 1,
     seal: bool = False,
@@ -84,7 +85,7 @@ def verify(
         InputError: no such folder, or, to seal it, one that a job is writing to. Every other fault is a line of the report.
         StorageError: the seal cannot be written.
     """
-    root = Path(path)
+    root = place(path)
     if not root.is_dir():
         raise InputError(root, "no such folder; give the folder that `flatlight generate` wrote (dataset.output)")
     problems: list[str] = []
@@ -142,7 +143,7 @@ _UNSEALED = (
 )
 
 
-def _check_seal(root: Path) -> tuple[dict[str, str] | None, list[InputError]]:
+def _check_seal(root: Place) -> tuple[dict[str, str] | None, list[InputError]]:
     """Return the sealed hashes, None where there is no seal, and what is not as it was sealed."""
     try:
         hashes = read_seal(root)
@@ -152,7 +153,7 @@ def _check_seal(root: Path) -> tuple[dict[str, str] | None, list[InputError]]:
 
 
 def check_sample(
-    root: Path, info: DatasetInfo, shutter: Shutter | None, psf_fingerprint: str, entry: Entry
+    root: Place, info: DatasetInfo, shutter: Shutter | None, psf_fingerprint: str, entry: Entry
 ) -> list[str]:
     """Check one sample against its manifest line; return its faults, none when it is intact."""
     folder = sample_folder(root, entry.split, sample_index(entry.id))
@@ -207,15 +208,15 @@ def check_sample(
     return problems
 
 
-def _unexpected(folder: Path, files: Iterable[str]) -> list[str]:
+def _unexpected(folder: Place, files: Iterable[str]) -> list[str]:
     """Return what lies in a sample's folder beside its files; of a folder that should not be there its name only."""
     wanted = {DESCRIPTION, *files}
     folders = {PurePosixPath(name).parent for name in wanted}
-    found = sorted(PurePosixPath(path.relative_to(folder).as_posix()) for path in folder.rglob("*"))
+    found = sorted(PurePosixPath(relative_name(path, folder)) for path in folder.rglob("*"))
     return [str(path) for path in found if path.parent in folders and path not in folders and str(path) not in wanted]
 
 
-def _check_captured(root: Path, info: DatasetInfo, psf_fingerprint: str, faulty: Container[str]) -> list[str]:
+def _check_captured(root: Place, info: DatasetInfo, psf_fingerprint: str, faulty: Container[str]) -> list[str]:
     """Check the stack as captured, where the configuration asked for one; of ``faulty`` files a problem is told already."""
     if not info.config.get("psf", {}).get("as_captured"):
         return []
@@ -256,7 +257,7 @@ _YOURS = re.compile(r"(README|LICEN[CS]E|CITATION|CHANGELOG)(\.(md|txt|rst|cff|b
 
 
 def _check_places(
-    root: Path, manifest: Manifest, hashes: Mapping[str, str] | None
+    root: Place, manifest: Manifest, hashes: Mapping[str, str] | None
 ) -> tuple[list[str], tuple[str, ...]]:
     """Name what lies anywhere in a data set, outside its samples' folders, and should not; and what may, unchecked.
 
@@ -265,7 +266,7 @@ def _check_places(
     problems, notes = [], []
     files = {CHECKSUMS, *(hashes or files_to_seal(root))}
     folders = {PSF_FOLDER, *(str(PurePosixPath(name).parent) for name in files)}
-    samples = {sample_folder(Path(), split, sample_index(name)).as_posix() for split, name in manifest.entries}
+    samples = {str(sample_folder(Path(), split, sample_index(name))) for split, name in manifest.entries}
     pending = [root]
     while pending:
         folder = pending.pop()
@@ -276,7 +277,7 @@ def _check_places(
             problems.append(str(error))
             continue
         for path in paths:
-            name = path.relative_to(root).as_posix()
+            name = relative_name(path, root)
             if name in files or name in samples:
                 continue
             if (name in folders or _SPLIT_FOLDER.fullmatch(name)) and path.is_dir():

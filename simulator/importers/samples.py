@@ -87,7 +87,7 @@ class Samples:
     @property
     def inputs(self) -> Sequence[Path]:
         """What the data set is; its samples' files carry digests of their own in the manifest."""
-        root = self.parts[0].root
+        root = Path(str(self.parts[0].root))
         return [root / FILE, root / MANIFEST]
 
     def __len__(self) -> int:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from simulator.errors import InputError
 from simulator.io.files import StorageError, read_errors, write_atomic
+from simulator.io.store import Place
 
 _LOCK = threading.RLock()  # two threads that swap descriptors at once would leave the wrong one in place
 
@@ -129,7 +130,7 @@ def read_exr(
 
 
 def decode_exr(
-    data: bytes, path: Path, *, max_pixels: int = MAX_VALUES, require_checksums: bool = False
+    data: bytes, path: Place, *, max_pixels: int = MAX_VALUES, require_checksums: bool = False
 ) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
     """Do what ``read_exr`` does on a file's bytes that were read already; ``path`` only names it in errors."""
     import OpenEXR
@@ -156,7 +157,7 @@ def decode_exr(
     return result, header.metadata
 
 
-def _checked_channels(path: Path, channels: Mapping[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
+def _checked_channels(path: Place, channels: Mapping[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
     if not channels:
         raise InputError(path, "cannot be written: no channels given")
     clean: dict[str, NDArray[np.float32]] = {}
@@ -178,7 +179,7 @@ def _checked_channels(path: Path, channels: Mapping[str, NDArray[np.float32]]) -
     return clean
 
 
-def _attribute(path: Path, channels: Mapping[str, NDArray[np.float32]], metadata: Mapping[str, Any]) -> str:
+def _attribute(path: Place, channels: Mapping[str, NDArray[np.float32]], metadata: Mapping[str, Any]) -> str:
     try:
         text = json.dumps(dict(metadata), sort_keys=True, allow_nan=False)
     except (TypeError, ValueError) as error:
@@ -199,7 +200,7 @@ def _encode(channels: Mapping[str, NDArray[np.float32]], attribute: str) -> byte
     return stream.getvalue()
 
 
-def _header(data: bytes, path: Path) -> Header:
+def _header(data: bytes, path: Place) -> Header:
     import OpenEXR
 
     if data[:4] != b"\x76\x2f\x31\x01":
@@ -227,7 +228,7 @@ def _size_and_names(header: dict[str, Any]) -> tuple[tuple[int, int], tuple[str,
 
 
 def _parsed_attribute(
-    path: Path, attribute: object, names: tuple[str, ...]
+    path: Place, attribute: object, names: tuple[str, ...]
 ) -> tuple[dict[str, Any], dict[str, int] | None]:
     if attribute is None:
         return {}, None
@@ -244,7 +245,7 @@ def _parsed_attribute(
     return metadata, checksums
 
 
-def _decoded_channel(path: Path, header: Header, name: str, pixels: NDArray[Any]) -> NDArray[np.float32]:
+def _decoded_channel(path: Place, header: Header, name: str, pixels: NDArray[Any]) -> NDArray[np.float32]:
     if pixels.dtype not in (np.float32, np.float16):
         raise InputError(path, f"channel {name!r} holds {pixels.dtype}; only float32 and float16 are read")
     if pixels.shape != header.shape:
@@ -257,5 +258,5 @@ def _decoded_channel(path: Path, header: Header, name: str, pixels: NDArray[Any]
     return values
 
 
-def _damaged(path: Path, detail: str) -> InputError:
+def _damaged(path: Place, detail: str) -> InputError:
     return InputError(path, f"truncated or corrupt ({detail}); make it again or restore it from a copy")

@@ -1,21 +1,20 @@
-"""Files that appear whole or not at all, files of lines that only grow, small texts; clear words when the disk says no."""
+"""Files and folders that appear whole or not at all, small texts; clear words when the disk or the store says no."""
 
 from __future__ import annotations
 
 import errno
-import fcntl
 import hashlib
-import json
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+import tempfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
 
 from simulator.errors import InputError
+from simulator.io.store import Place, StorePath
 from simulator.text import show
 
 TEMPORARY_PREFIX = ".tmp-"
@@ -64,7 +63,7 @@ class StorageError(InputError):
 
 
 @contextmanager
-def storage_errors(path: Path) -> Iterator[None]:
+def storage_errors(path: Place) -> Iterator[None]:
     """Turn the operating system's refusals to write below ``path`` into a ``StorageError`` with a cure.
 
     Raises:
@@ -80,22 +79,22 @@ def storage_errors(path: Path) -> Iterator[None]:
             cure = f"Free space (or choose another dataset.output). {kept}."
             reason = f"{_FULL[error.errno]}. {cure}"
         elif error.errno == errno.ENOENT:
-            reason = "its folder does not exist. Make it first, or choose another place."
+            reason = "its folder (or bucket) does not exist. Make it first, or choose another place."
         elif error.errno in _DENIED:
             cure = f"Give write permission or choose another output folder. {kept}."
             reason = f"{_DENIED[error.errno]}. {cure}"
         else:
             reason = f"{error.strerror or error}. Check the disk. {kept}."
-        raise StorageError(path, f"cannot be written: {reason}") from error
+        raise StorageError(str(path), f"cannot be written: {reason}") from error
 
 
 @contextmanager
-def read_errors(path: Path) -> Iterator[None]:
+def read_errors(path: Place) -> Iterator[None]:
     """Turn the operating system's refusals to read ``path`` into an ``InputError``."""
     try:
         yield
     except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
+        raise InputError(str(path), f"cannot be read: {error.strerror or error}") from error
 
 
 def sync_folder(folder: Path) -> None:
@@ -119,17 +118,23 @@ def write_all(descriptor: int, data: bytes) -> None:
         view = view[os.write(descriptor, view) :]
 
 
-def write_atomic(path: Path, data: bytes, check: Callable[[Path], None] | None = None) -> None:
+def write_atomic(path: Place, data: bytes, check: Callable[[Path], None] | None = None) -> None:
     """Write ``data`` so that ``path`` holds either all of it or what it held before.
 
     Args:
         path: the final name; its folder must exist.
         data: the whole content.
-        check: called with the temporary file, already on disk, before it gets its final name; raises to refuse it.
+        check: called with the temporary file, already on disk, before it gets its final name; raises to refuse it. Not for
+            object stores.
 
     Raises:
         StorageError: the folder is missing or protected, or the disk is full. Nothing is left behind.
     """
+    if isinstance(path, StorePath):
+        assert check is None
+        with storage_errors(path):
+            path.write_bytes(data)
+        return
     temporary = temporary_path(path)
     with storage_errors(path):
         try:
@@ -150,15 +155,27 @@ def write_atomic(path: Path, data: bytes, check: Callable[[Path], None] | None =
 
 
 @contextmanager
-def committed_folder(folder: Path) -> Iterator[Path]:
-    """Give a temporary folder to write into; at the end of the block it becomes ``folder`` in one rename.
+def committed_folder(folder: Place, last: str = "") -> Iterator[Path]:
+    """Give a temporary folder to write into; at the end of the block it becomes ``folder``.
 
-    When the block raises, the temporary folder is removed and ``folder`` stays as it was. A folder of that name is
-    replaced: it is what a run left that died before the manifest knew of it.
+    On a disk that is one rename, and a folder of that name is replaced: it is what a run left that died before the manifest
+    knew of it. Into a store, the files are written first and the one that describes them last, and never over another.
+
+    When the block raises, the temporary folder is removed and ``folder`` stays as it was.
+
+    Args:
+        folder: the final name.
+        last: name of the file that describes the others; needed for a store.
 
     Raises:
         StorageError: the place cannot be written to.
+        InputError: the store holds another ``last``, which somebody else wrote there.
     """
+    if isinstance(folder, StorePath):
+        with tempfile.TemporaryDirectory(prefix="flatlight-") as made:
+            yield Path(made)
+            _upload(Path(made), folder, last)
+        return
     temporary = temporary_path(folder)
     with storage_errors(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -171,6 +188,25 @@ def committed_folder(folder: Path) -> Iterator[Path]:
         except BaseException:
             shutil.rmtree(temporary, ignore_errors=True)
             raise
+
+
+_AT_A_TIME = 8  # files on their way to a store, which waits longer than it works
+
+
+def _upload(made: Path, folder: StorePath, last: str) -> None:
+    names = [path.relative_to(made).as_posix() for path in made.rglob("*") if path.is_file()]
+    description = (made / last).read_bytes()
+    with storage_errors(folder):
+        with ThreadPoolExecutor(_AT_A_TIME) as pool:
+            for sent in [
+                pool.submit((folder / name).write_bytes, (made / name).read_bytes()) for name in names if name != last
+            ]:
+                sent.result()
+        if not (folder / last).create(description) and (folder / last).read_bytes() != description:
+            raise InputError(
+                str(folder),
+                f"holds another {last}, of a writer that made it otherwise; delete the folder and run generate again",
+            )
 
 
 def _replace_folder(temporary: Path, folder: Path) -> None:
@@ -187,9 +223,29 @@ def _replace_folder(temporary: Path, folder: Path) -> None:
     shutil.rmtree(aside, ignore_errors=True)
 
 
-def remove_leftovers(root: Path) -> int:
-    """Delete unfinished files and folders that died writers left anywhere below ``root``; return how many."""
-    found = list(leftovers(root))
+def remove_file(path: Place) -> None:
+    """Remove a file, if it is there, so that it stays away after a power cut.
+
+    Raises:
+        StorageError: the folder is protected.
+    """
+    with storage_errors(path):
+        path.unlink(missing_ok=True)
+        if isinstance(path, Path):
+            sync_folder(path.parent)
+
+
+def remove_folder(folder: Place) -> None:
+    """Remove a folder and all that is in it; what cannot be removed stays."""
+    if isinstance(folder, StorePath):
+        folder.remove_all()
+    else:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def remove_leftovers(root: Path, levels: int = 100) -> int:
+    """Delete unfinished files and folders that died writers left up to so many levels below ``root``; return how many."""
+    found = list(leftovers(root, levels))
     for path in found:
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
@@ -199,13 +255,14 @@ def remove_leftovers(root: Path) -> int:
     return len(found)
 
 
-def leftovers(root: Path) -> Iterator[Path]:
-    """Yield every unfinished file or folder below ``root``, without looking inside unfinished folders."""
+def leftovers(root: Path, levels: int = 100) -> Iterator[Path]:
+    """Yield the unfinished files and folders up to so many levels below ``root``, none inside unfinished folders."""
     for folder, folders, files in os.walk(root):
         for name in [*folders, *files]:
             if name.startswith(TEMPORARY_PREFIX):
                 yield Path(folder) / name
-        folders[:] = [name for name in folders if not name.startswith(TEMPORARY_PREFIX)]
+        deepest = len(Path(folder).relative_to(root).parts) + 1 >= levels
+        folders[:] = [] if deepest else [name for name in folders if not name.startswith(TEMPORARY_PREFIX)]
 
 
 def sha256_bytes(data: bytes) -> str:
@@ -213,20 +270,20 @@ def sha256_bytes(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def sha256_file(path: Path) -> str:
+def sha256_file(path: Place) -> str:
     """Return the SHA-256 of a file's content in hexadecimal.
 
     Raises:
         InputError: the file cannot be read.
     """
-    with read_errors(path), open(path, "rb") as file:
+    with read_errors(path), path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 MAX_BYTES = 16 << 20
 
 
-def read_text(path: Path, holds: str, max_bytes: int = MAX_BYTES) -> str:
+def read_text(path: Place, holds: str, max_bytes: int = MAX_BYTES) -> str:
     """Return the text of a small file, without a byte-order mark.
 
     Args:
@@ -240,101 +297,10 @@ def read_text(path: Path, holds: str, max_bytes: int = MAX_BYTES) -> str:
     with read_errors(path), path.open("rb") as file:
         raw = file.read(max_bytes + 1)
     if len(raw) > max_bytes:
-        raise InputError(path, f"larger than {max_bytes >> 10} KiB, expected {holds}; is this the right file?")
+        raise InputError(str(path), f"larger than {max_bytes >> 10} KiB, expected {holds}; is this the right file?")
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(path, f"not UTF-8 text (byte 0x{error.object[error.start]:02x}); expected {holds}") from error
-
-
-class AppendedLines:
-    """Appends lines of JSON to a file; one writer per data set, in the parent process only.
-
-    Attributes:
-        path: the file.
-    """
-
-    def __init__(self, path: Path) -> None:
-        """Open the file (made when missing), take its lock and cut a torn last line.
-
-        Raises:
-            InputError: another process is writing to the same data set.
-            StorageError: the folder cannot be written to.
-        """
-        self.path = path
-        with storage_errors(path):
-            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
-        try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            os.close(self._descriptor)
-            raise InputError(path.parent, "another process is writing; wait, or change dataset.output") from error
-        except OSError:
-            pass  # a file system without locks
-        with storage_errors(path):
-            self._size = _end_of_last_line(self._descriptor)
-            os.ftruncate(self._descriptor, self._size)
-
-    def append_line(self, content: Mapping[str, Any]) -> None:
-        """Add one line and wait until it is on the disk.
-
-        Raises:
-            StorageError: the disk is full; the file stays as it was before.
-        """
-        line = line_of(content)
-        with storage_errors(self.path):
-            try:
-                write_all(self._descriptor, line)
-                os.fsync(self._descriptor)
-            except OSError:
-                with suppress(OSError):
-                    os.ftruncate(self._descriptor, self._size)
-                raise
-        self._size += len(line)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def close(self) -> None:
-        """Release the file and its lock; may be called twice."""
-        if self._descriptor >= 0:
-            os.close(self._descriptor)
-            self._descriptor = -1
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self.close()
-
-
-def line_of(content: Mapping[str, Any]) -> bytes:
-    """Return a line of such a file."""
-    return json.dumps(content, separators=(",", ":")).encode() + b"\n"
-
-
-def read_lines(path: Path) -> tuple[list[bytes], bool]:
-    """Return the whole lines of such a file and whether a torn one follows them; a missing file has none.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        return [], False
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
-    *lines, rest = data.split(b"\n")
-    return lines, bool(rest)
-
-
-def _end_of_last_line(descriptor: int) -> int:
-    size = os.fstat(descriptor).st_size
-    end, step = size, 4096
-    while end > 0:
-        start = max(0, end - step)
-        found = os.pread(descriptor, end - start, start).rfind(b"\n")
-        if found >= 0:
-            return start + found + 1
-        end = start
-    return 0
+        raise InputError(
+            str(path), f"not UTF-8 text (byte 0x{error.object[error.start]:02x}); expected {holds}"
+        ) from error

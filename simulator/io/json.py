@@ -9,7 +9,7 @@ import enum
 import json
 import math
 from collections.abc import Callable, Mapping
-from pathlib import Path, PurePath
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -78,7 +78,7 @@ def readable_json(value: Any) -> bytes:
     return (json.dumps(plain(value), sort_keys=True, indent=1, allow_nan=False) + "\n").encode()
 
 
-def check_keys(path: Path | str, content: Any, checks: Mapping[str, Callable[[Any], object]], cure: str) -> None:
+def check_keys(path: object, content: Any, checks: Mapping[str, Callable[[Any], object]], cure: str) -> None:
     """Refuse content of a file where a key is missing, or its value fails the check: is false, or raises.
 
     Raises:

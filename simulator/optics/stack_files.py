@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from simulator.errors import InputError
 from simulator.io.exr import decode_exr, write_exr
 from simulator.io.files import committed_folder, sha256_bytes, write_atomic
 from simulator.io.json import are_names, check_keys, is_positive, plain, readable_json
+from simulator.io.store import Place
 from simulator.optics.stack import PsfStack
 from simulator.text import show
 
@@ -22,7 +24,7 @@ PSF_FOLDER = "psf"  # of a data set: the stack that was used
 CAPTURED_FOLDER = "psf_captured"  # the same as a calibration would measure it, where the configuration asks for it
 
 
-def write_psf_stack(folder: Path, stack: PsfStack) -> None:
+def write_psf_stack(folder: Place, stack: PsfStack) -> None:
     """Write a stack; the folder appears whole or not at all, and replaces an older stack.
 
     Raises:
@@ -30,7 +32,7 @@ def write_psf_stack(folder: Path, stack: PsfStack) -> None:
         StorageError: the place cannot be written to.
     """
     check_replaceable(folder)
-    with committed_folder(folder) as temporary:
+    with committed_folder(folder, DESCRIPTION) as temporary:
         files = {}
         for k, planes in enumerate(stack.values):
             name = _file_name(k)
@@ -49,7 +51,7 @@ def write_psf_stack(folder: Path, stack: PsfStack) -> None:
         write_atomic(temporary / DESCRIPTION, readable_json(content))
 
 
-def read_psf_stack(folder: Path) -> PsfStack:
+def read_psf_stack(folder: Place) -> PsfStack:
     """Read a stack that ``write_psf_stack`` wrote; every file's hash, depth and pitch are checked.
 
     Raises:
@@ -71,7 +73,7 @@ def read_psf_stack(folder: Path) -> PsfStack:
         raise InputError(folder / DESCRIPTION, f"damaged ({error}); compute the stack again") from error
 
 
-def read_depths_m(folder: Path) -> NDArray[np.float64]:
+def read_depths_m(folder: Place) -> NDArray[np.float64]:
     """Return the depths ``(K,)`` of a stack on disk, metres, without reading its images; errors as `read_psf_stack`."""
     return _description(folder)["depths_m"]
 
@@ -99,7 +101,7 @@ def stack_folder(place: Path, *, captured: bool = False) -> Path:
     return folder.with_name(f"{folder.name}_captured")
 
 
-def check_replaceable(folder: Path) -> None:
+def check_replaceable(folder: Place) -> None:
     """Refuse a place where writing a stack would take away something else.
 
     Raises:
@@ -109,19 +111,19 @@ def check_replaceable(folder: Path) -> None:
         return
     if not folder.is_dir():
         raise InputError(folder, "a file; a PSF stack is a folder: choose another name")
-    foreign = [path.name for path in sorted(folder.iterdir()) if not is_stack_file(path)]
+    foreign = [path.name for path in sorted(folder.iterdir()) if not is_stack_file(path.name)]
     if foreign:
         raise InputError(
             folder, f"holds other files ({foreign[0]}, ...), which a PSF stack would replace: choose another name"
         )
 
 
-def is_stack_file(path: Path) -> bool:
+def is_stack_file(name: str) -> bool:
     """Whether a file has the name of one that belongs to a stack."""
-    return path.name == DESCRIPTION or path.match("depth_*.exr")
+    return name == DESCRIPTION or fnmatchcase(name, "depth_*.exr")
 
 
-def _description(folder: Path) -> dict[str, Any]:
+def _description(folder: Place) -> dict[str, Any]:
     """Return the content of psf.json: the fields of a PsfStack but its values, and ``files`` with their hashes."""
     path = folder / DESCRIPTION
     cure = "delete its folder and compute the stack again"
@@ -159,7 +161,7 @@ def _metadata(depth_m: float, pixel_pitch_m: float) -> dict[str, Any]:
     return plain({"depth_m": float(depth_m), "pixel_pitch_m": pixel_pitch_m}, "PSF")
 
 
-def _read_planes(file: Path, digest: str, channels: tuple[str, ...], metadata: dict[str, Any]) -> NDArray[np.float32]:
+def _read_planes(file: Place, digest: str, channels: tuple[str, ...], metadata: dict[str, Any]) -> NDArray[np.float32]:
     """Return the PSFs ``(C, H, W)`` of one depth."""
     try:
         data = file.read_bytes()

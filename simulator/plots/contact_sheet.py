@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +13,7 @@ from simulator.dataset.reader import Dataset, open_dataset
 from simulator.dataset.sample import SceneFrame, StoredSample
 from simulator.errors import InputError
 from simulator.io.files import write_atomic
+from simulator.io.store import Place, place
 from simulator.plots.drawing import (
     INK,
     PAPER,
@@ -36,7 +36,7 @@ _TILE = 192  # height of every image, pixels
 _GAP, _TEXT, _LINE, _TITLE, _BAR = 12, 22, 16, 64, 96
 
 
-def contact_sheet(dataset_path: Path | str, out_png: Path | str, count: int = 8, split: str | None = None) -> Path:
+def contact_sheet(dataset_path: Place | str, out_png: Place | str, count: int = 8, split: str | None = None) -> Place:
     """Draw up to ``count`` samples, evenly chosen from a split, one per row.
 
     Measurements are shown with full scale (1.0) as white, scenes with one stated radiance as white, both sRGB-encoded;
@@ -60,7 +60,7 @@ def contact_sheet(dataset_path: Path | str, out_png: Path | str, count: int = 8,
 
     if count < 1:
         raise InputError("count", f"expected at least 1, got {count}")
-    dataset = _chosen_split(Path(dataset_path), split)
+    dataset = _chosen_split(place(dataset_path), split)
     positions = sorted(set(np.linspace(0, len(dataset) - 1, min(count, len(dataset))).round().astype(int).tolist()))
     rows = [_Row.of(dataset.stored(position)) for position in positions]
     white = white_level(frame.rgb for row in rows for frame in row.frames)
@@ -90,8 +90,8 @@ def contact_sheet(dataset_path: Path | str, out_png: Path | str, count: int = 8,
         text = f"{dataset.split} / {dataset.ids[position]}" + (f" / {row.label}" if row.label else "")
         draw.text((lefts[0], below + (_LINE if row.times else 0)), text, fill=INK, font=font(12))
     draw_depth_legend(draw, lefts[-1], _TITLE, _TILE - 24, near_m, far_m)
-    write_atomic(Path(out_png), png_bytes(sheet))
-    return Path(out_png)
+    write_atomic(place(out_png), png_bytes(sheet))
+    return place(out_png)
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def _span(edges_s: NDArray[np.float64]) -> str:
     return f"{edges_s[0] * 1e3:.4g} to {edges_s[-1] * 1e3:.4g} ms"
 
 
-def _chosen_split(path: Path, split: str | None) -> Dataset:
+def _chosen_split(path: Place, split: str | None) -> Dataset:
     splits = [split] if split is not None else list(read_info(path).counts)
     for name in splits:
         dataset = open_dataset(path, name)

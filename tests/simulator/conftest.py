@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import textwrap
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -40,6 +41,39 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., No
         monkeypatch.syspath_prepend(str(site))
 
     return install_package
+
+
+@pytest.fixture(scope="module")
+def bucket() -> Iterator[str]:
+    """The address of an empty bucket in an S3 server on this machine, which the environment says how to reach."""
+    import socket
+    import urllib.request
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        url = f"http://127.0.0.1:{probe.getsockname()[1]}"
+    server = subprocess.Popen(
+        [sys.executable, "-m", "moto.server", "-p", url.rpartition(":")[2]],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    access = {"AWS_ACCESS_KEY_ID": "a", "AWS_SECRET_ACCESS_KEY": "b", "AWS_REGION": "us-east-1"}
+    try:
+        end = time.monotonic() + 30
+        while server.poll() is None:
+            try:
+                urllib.request.urlopen(urllib.request.Request(f"{url}/flatlight-test", method="PUT"))
+                break
+            except OSError:
+                assert time.monotonic() < end, "the server did not start"
+                time.sleep(0.05)
+        with pytest.MonkeyPatch.context() as patch:
+            for name, value in {**access, "AWS_ENDPOINT_URL": url, "AWS_ALLOW_HTTP": "true"}.items():
+                patch.setenv(name, value)
+            yield "s3://flatlight-test"
+    finally:
+        server.kill()
+        server.wait()
 
 
 @pytest.fixture

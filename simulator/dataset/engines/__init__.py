@@ -6,9 +6,8 @@ import os
 import pickle
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from simulator.config.schema import RayConfig
 from simulator.dataset.engines.inline import run_inline
 from simulator.dataset.engines.local import Pool
 from simulator.dataset.engines.tries import (
@@ -23,6 +22,9 @@ from simulator.dataset.engines.tries import (
 )
 from simulator.errors import InputError
 from simulator.text import described
+
+if TYPE_CHECKING:
+    from simulator.config.schema import RayConfig
 
 __all__ = ["ENGINES", "EngineError", "GivenUpError", "Outcome", "WorkerError", "available_cpus", "run"]
 
@@ -82,7 +84,7 @@ def run(
     if engine == "ray":
         from simulator.dataset.engines.cluster import Cluster
 
-        return Cluster(tries, chosen, start, timeout_s, max_tasks, ray or RayConfig()).outcomes()
+        return Cluster(tries, chosen, start, timeout_s, max_tasks, ray).outcomes()
     return Pool(tries, chosen or available_cpus(), start, timeout_s, max_tasks).outcomes()
 
 

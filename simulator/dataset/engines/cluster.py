@@ -96,7 +96,7 @@ class Cluster:
         start: bytes,
         timeout_s: float | None,
         max_tasks: int,
-        settings: RayConfig,
+        settings: RayConfig | None,
     ) -> None:
         """Prepare a run on at most ``workers`` CPUs of the cluster, None for all of them.
 
@@ -110,7 +110,7 @@ class Cluster:
                 "dataset.engine", f"ray is not installed ({error}); pip install 'flatlight[cluster]', or engine: local"
             ) from error
         self._ray: Any = ray
-        self._tries, self._workers, self._settings = tries, workers, settings
+        self._tries, self._workers, self._settings = tries, workers, settings or RayConfig()
         self._start, self._timeout_s, self._max_tasks = start, timeout_s, max_tasks
         self._under_way: dict[Future[Any], tuple[Job, Any]] = {}  # each with its reference, by which Ray knows it
         self._failed_starts: list[str] = []  # in a row, by their cause

@@ -96,7 +96,7 @@ def test_the_place_of_a_full_disk_is_the_disk(trial, monkeypatch: pytest.MonkeyP
     def full(*_: object) -> None:
         raise StorageError(Path("/disk"), "cannot be written: full")
 
-    monkeypatch.setattr("simulator.dataset.job.write_info", full)
+    monkeypatch.setattr("simulator.dataset.preparation.write_info", full)
     with pytest.raises(StorageError) as caught:
         generate(trial.write())
     assert caught.value.place == ""

@@ -21,8 +21,8 @@ from simulator.camera.shutter import GlobalShutter
 from simulator.config import load_config
 from simulator.dataset import generate, open_dataset, verify
 from simulator.dataset.checksums import CHECKSUMS
-from simulator.dataset.job import data_set_stack
 from simulator.dataset.manifest import load_manifest
+from simulator.dataset.preparation import data_set_stack
 from simulator.errors import InputError
 from simulator.optics.stack import UNPROVEN
 from simulator.optics.stack_files import read_psf_stack
@@ -44,7 +44,7 @@ def contents(root: Path) -> dict[str, str]:
     }
     for line in (root / "manifest.jsonl").read_text().splitlines():
         entry = json.loads(line)
-        del entry["seconds"]
+        del entry["seconds"], entry["stages"]
         found[f"line {entry['split']}/{entry['id']}"] = json.dumps(entry)
     info = json.loads((root / "dataset.json").read_text())
     for free in ("output", "engine", "workers"):
@@ -73,7 +73,9 @@ def test_a_finished_set_verifies_and_its_layout_is_the_documented_one(finished: 
     assert {str(path.relative_to(finished)) for path in finished.rglob("*") if path.is_file()} == expected
     lines = [json.loads(line) for line in (finished / "manifest.jsonl").read_text().splitlines()]
     assert {(line["split"], line["id"]) for line in lines} == ALL
-    assert all(set(line) == {"id", "split", "digest", "seed", "label", "seconds"} for line in lines)
+    assert all(set(line) == {"id", "split", "digest", "seed", "label", "seconds", "stages"} for line in lines)
+    # The scene, its exposure and the files are all that a sample's time goes into, but for the calls between them.
+    assert all(sum(line["stages"]) == pytest.approx(line["seconds"], abs=5e-3) for line in lines)
     description = json.loads((finished / "train/0000/s00000001/sample.json").read_text())
     for name, digest in description["files"].items():
         assert hashlib.sha256((finished / "train/0000/s00000001" / name).read_bytes()).hexdigest() == digest

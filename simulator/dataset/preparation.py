@@ -1,0 +1,280 @@
+"""The folder of a data set before its first sample: description, PSF stack, exposure; never mixed with another's."""
+
+from __future__ import annotations
+
+import platform
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from simulator.assembly import Assembly
+from simulator.camera.exposure import ExposureShares
+from simulator.camera.shutter import Shutter, shutter_record
+from simulator.captured_psf import captured_stack, check_calibration
+from simulator.config import dump
+from simulator.config.psf import ComputedPsf
+from simulator.dataset.clips import ClipTimesError
+from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info, write_info
+from simulator.dataset.engines import GivenUpError, Outcome, WorkerError
+from simulator.dataset.exposure import complaints, exposure_record, pilots_wanted, refuse_useless
+from simulator.dataset.fingerprint import difference
+from simulator.dataset.manifest import MANIFEST, WRITERS
+from simulator.dataset.plan import Plan, Report, Say
+from simulator.dataset.recipe import check_first_clip, make_pilot, perform
+from simulator.errors import InputError
+from simulator.io.files import TEMPORARY_PREFIX, StorageError, remove_folder, storage_errors
+from simulator.io.json import canonical_json
+from simulator.io.store import Place, StorePath, check_store
+from simulator.optics.error_budget.sampling import SamplingWarning
+from simulator.optics.metrics import light_off_sensor
+from simulator.optics.stack import UNPROVEN, PsfStack
+from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, read_psf_stack, write_psf_stack
+from simulator.text import described
+
+
+def existing_info(plan: Plan) -> DatasetInfo | None:
+    """Return the description of a data set that is begun already where a plan wants to lie; None where there is none.
+
+    Raises:
+        InputError: the folder holds something else, another data set, or one with more samples.
+    """
+    root = plan.root
+    if not root.exists():
+        return None
+    if not root.is_dir():
+        raise InputError("dataset.output", f"{root} is a file; choose another folder")
+    if not (root / FILE).exists():
+        foreign = [path.name for path in sorted(root.iterdir()) if not _left_by_a_start(path)]
+        if foreign:
+            raise InputError("dataset.output", f"{root} holds other files ({foreign[0]}, ...); choose another folder")
+        return None
+    info = read_info(root)
+    if info.fingerprint != plan.fingerprint:
+        changes = difference(info.fingerprint_parts, plan.parts)
+        raise InputError("dataset.output", f"{root} holds another data set; choose another folder, or undo:\n{changes}")
+    function = plan.parts["config"]["camera"]["shutter"].get("function")
+    _refuse_other_windows(root, info, plan.recipe.shutter, function)
+    for split, count in plan.counts.items():
+        if count < info.counts.get(split, 0):
+            raise InputError(
+                f"dataset.{split}",
+                f"got {count}, but {root} already has {info.counts[split]}; choose another folder for fewer",
+            )
+    return info
+
+
+def prepare(
+    plan: Plan, existing: DatasetInfo | None, accept_exposure: bool, progress: Report, say: Say
+) -> tuple[DatasetInfo, PsfStack]:
+    """Write the PSF stack and the description of a data set, where they are not there yet; on an error, nothing of it.
+
+    Raises:
+        InputError: mistakes that come out late, or an exposure that is of no use.
+        StorageError: the place cannot be written to.
+    """
+    with _all_or_nothing(plan.root):
+        stack = data_set_stack(plan.assembly, plan.root, say)
+        info = existing or _described(plan, stack, _exposure(plan, accept_exposure, progress, say))
+        wanted = replace(info, counts=plan.counts, config=dump(plan.config))
+        if wanted != existing:
+            write_info(plan.root, wanted)
+    return wanted, stack
+
+
+def _described(plan: Plan, stack: PsfStack, exposure: dict[str, Any]) -> DatasetInfo:
+    config, assembly = plan.config, plan.assembly
+    colour = assembly.camera_colour(stack.channels)
+    slivers = {"slivers": config.dataset.slivers, "ground_truth": config.dataset.ground_truth}
+    return DatasetInfo(
+        name=config.name,
+        config=dump(config),
+        fingerprint=plan.fingerprint,
+        fingerprint_parts=plan.parts,
+        versions=plan.parts["versions"] | {"cpu": _cpu_level()},
+        backend=plan.recipe.backend,
+        exposure=exposure,
+        counts=plan.counts,
+        scene_shape=config.scene.size,
+        sensor_shape=config.camera.sensor.shape,
+        channels=assembly.sensor.channels(stack.channels),
+        scene_to_camera=colour.origin | {"matrix": colour.matrix.tolist()},
+        field_of_view=assembly.simulated_field.record(stack),
+        time={"shutter": shutter_record(plan.recipe.shutter), **slivers},
+    )
+
+
+# ---- the folder
+
+
+@contextmanager
+def made_folder(root: Place) -> Iterator[None]:
+    """Make the data set's folder, or try the store; on an error, take away what is empty of the folders made.
+
+    Raises:
+        StorageError: the folder cannot be made, or the store not written to.
+        InputError: the store overwrites what it should not.
+    """
+    if isinstance(root, StorePath):
+        with storage_errors(root):
+            check_store(root)
+        yield
+        return
+    made = [folder for folder in (root, *root.parents) if not folder.exists()]
+    with storage_errors(root):
+        root.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):
+            for folder in made:
+                folder.rmdir()
+        raise
+
+
+@contextmanager
+def _all_or_nothing(root: Place) -> Iterator[None]:
+    """On an error before the data set has its description, leave nothing of it; for a process that is alone there."""
+    try:
+        yield
+    except BaseException:
+        if not (root / FILE).exists():
+            for name in (PSF_FOLDER, CAPTURED_FOLDER, WRITERS):
+                remove_folder(root / name)
+            with suppress(OSError):
+                (root / MANIFEST).unlink(missing_ok=True)
+        raise
+
+
+def _refuse_other_windows(root: Place, info: DatasetInfo, shutter: Shutter, function: str | None) -> None:
+    """Refuse a shutter that is another one than the recorded, though its configuration is the same."""
+    recorded = info.time.get("shutter")
+    if recorded is None or canonical_json(recorded) == canonical_json(shutter_record(shutter)):
+        return
+    if function is None:
+        raise InputError(root / FILE, "time.shutter is not what its configuration says; restore the file from a copy")
+    raise InputError(
+        "camera.shutter.function",
+        f"{function} gave other windows than the data set in {root} was begun with; it must return "
+        "the same at every call: seed what it draws, or write its windows into a file and give camera.shutter.file",
+    )
+
+
+def _left_by_a_start(path: Place) -> bool:
+    """Whether a run that was killed before ``dataset.json`` leaves such a file: it holds nothing of worth."""
+    empty_manifest = path.name == MANIFEST and path.read_bytes() == b""
+    return empty_manifest or path.name in (PSF_FOLDER, CAPTURED_FOLDER) or path.name.startswith(TEMPORARY_PREFIX)
+
+
+# ---- the PSF stack
+
+
+def data_set_stack(assembly: Assembly, root: Place, say: Callable[[str], None]) -> PsfStack:
+    """Return the true stack; it and the captured one are written on the first run and kept on later ones.
+
+    A stack that was deleted from a data set is made again.
+    """
+    config, begun = assembly.config, (root / FILE).exists()
+    folder, captured_folder = root / PSF_FOLDER, root / CAPTURED_FOLDER
+    asked = isinstance(config.psf, ComputedPsf) and config.psf.as_captured is not None
+    if begun and folder.exists():
+        stack = read_psf_stack(folder)
+    else:
+        if isinstance(config.psf, ComputedPsf):  # mistakes come out before the work that they would spoil
+            assembly.camera_colour(assembly.response.channels)
+        if asked:
+            check_calibration(assembly)
+        say("designing the mask and computing its PSFs" if config.camera.mask else "reading the measured PSF")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SamplingWarning)  # the job tells it on every run
+            stack = assembly.psf_stack
+        if stack.provenance.get("sampling") == UNPROVEN:
+            raise InputError(
+                "psf",
+                "the sampling error of this stack was never measured, so no data set is made with it; compute it with "
+                "simulator.optics.error_budget.budget.proven_psf_stack",
+            )
+        if assembly.wants_full_check:
+            say("checking the PSFs against exact ones and direct sums")
+            stack = assembly.checked_stack
+        lost = light_off_sensor(stack, config.camera.sensor.shape, config.scene.size)
+        stack = replace(stack, provenance=stack.provenance | {"light_off_sensor": float(lost.max())})
+        write_psf_stack(folder, stack)
+    if asked and begun and captured_folder.exists():
+        read_psf_stack(captured_folder)  # a damaged one is refused, like the true one
+    elif asked:
+        say("measuring the PSFs as a calibration would")
+        write_psf_stack(captured_folder, captured_stack(assembly.having(psf_stack=stack)))
+    return stack
+
+
+# ---- the exposure
+
+
+def _exposure(plan: Plan, accept: bool, progress: Report, say: Say) -> dict[str, Any]:
+    """Return the one number that maps exposure to full scale, where it comes from, and what pilot samples say of it."""
+    sensor, fixed = plan.assembly.sensor, plan.assembly.fixed_exposure
+    wanted = pilots_wanted(fixed, sum(plan.counts.values()))
+    pilots: dict[int, Any] = {}
+    bad: dict[int, Exception] = {}
+    for outcome in perform(plan.config.dataset, make_pilot, range(wanted), wanted, plan.recipe):
+        if outcome.error is None:
+            pilots[outcome.task] = outcome.value
+        elif isinstance(outcome.error, InputError) and outcome.error.path == "scene.surroundings":
+            raise outcome.error  # which fails every sample alike
+        elif plan.skips(outcome.error) or (fixed is not None and not isinstance(outcome.error, StorageError)):
+            bad[outcome.task] = outcome.error
+        elif isinstance(outcome.error, GivenUpError):
+            raise InputError(f"exposure pilot {outcome.task}", reason_of(outcome)) from outcome.error
+        else:
+            raise outcome.error
+        progress("exposure pilots", len(pilots) + len(bad), wanted)
+    if fixed is not None and not pilots:
+        return fixed  # what cannot be had at all is reported as its sample's failure
+    if not pilots:
+        raise bad[0]
+    if bad:
+        say(f"note: {len(bad)} of {wanted} exposure pilots cannot be made and are left out: {bad[min(bad)]}")
+    record = exposure_record([pilots[i] for i in sorted(pilots)], fixed, sensor)
+    shares = ExposureShares(**record["pilot_shares"])
+    if not accept:
+        refuse_useless(shares, record, sensor)
+    say_exposure(f"{len(pilots)} pilot samples", shares, record, plan, say)
+    return record
+
+
+def say_exposure(of: str, shares: ExposureShares, record: dict[str, Any], plan: Plan, say: Say) -> None:
+    """Say what an exposure is worth, and what to change."""
+    say(f"exposure, {of}: {shares}")
+    for key, reason in complaints(shares, record, plan.assembly.sensor):
+        say(f"note: {key}: {reason}")
+
+
+def look_at_a_clip(plan: Plan) -> None:
+    """Refuse clips that do not suit the shutter before there is anything else to undo.
+
+    What cannot be had at all is reported as its sample's failure.
+
+    Raises:
+        ClipTimesError: the first clip does not.
+    """
+    for outcome in perform(plan.config.dataset, check_first_clip, [plan.recipe], 1):
+        if isinstance(outcome.error, ClipTimesError) and not plan.skip_bad:
+            raise outcome.error
+
+
+def reason_of(outcome: Outcome[Any, Any]) -> str:
+    """Return why a task failed, and how often it was tried."""
+    error, tried = outcome.error, f" (tried {outcome.attempts} times)" if outcome.attempts > 1 else ""
+    assert error is not None
+    return (str(error) if isinstance(error, InputError | WorkerError) else described(error)) + tried
+
+
+def _cpu_level() -> str:
+    """Return the processor kind and its best vector extension: NumPy's float32 functions differ between them."""
+    shown: Any = np.show_config(mode="dicts")
+    found = shown.get("SIMD Extensions", {}).get("found") or ["baseline"]
+    return f"{platform.machine()} {found[-1]}"

@@ -1,0 +1,175 @@
+"""Files of lines of JSON that only grow: on a disk one file, appended line by line; in a store one object per batch."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from simulator.errors import InputError
+from simulator.io.files import read_errors, storage_errors, write_all
+from simulator.io.locks import take_lock
+from simulator.io.store import Place, StorePath
+
+_BATCH_LINES, _BATCH_S = 1000, 30.0  # of a store: what a writer that dies has told nobody of
+
+
+def line_of(content: Mapping[str, Any]) -> bytes:
+    """Return a line of such a file."""
+    return json.dumps(content, separators=(",", ":")).encode() + b"\n"
+
+
+def read_lines(path: Place) -> Iterator[bytes]:
+    """Yield the lines of such a file, each with its end; one without is torn, and the last. A missing file has none.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    with read_errors(path):
+        try:
+            file = path.open("rb")
+        except FileNotFoundError:
+            return
+        with file:
+            yield from file
+
+
+class AppendedLines:
+    """Appends lines to a file of a disk; one writer a file.
+
+    Attributes:
+        path: the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open the file (made when missing), take its lock and cut a torn last line.
+
+        Raises:
+            InputError: another process is writing to it.
+            StorageError: the folder cannot be written to.
+        """
+        self.path = path
+        self._descriptor, self.locked = open_locked(path)
+        with storage_errors(path):
+            self._size = _end_of_last_line(self._descriptor)
+            os.ftruncate(self._descriptor, self._size)
+
+    def append_line(self, content: Mapping[str, Any]) -> None:
+        """Add one line and wait until it is on the disk.
+
+        Raises:
+            StorageError: the disk is full; the file stays as it was before.
+        """
+        line = line_of(content)
+        with storage_errors(self.path):
+            try:
+                write_all(self._descriptor, line)
+                os.fsync(self._descriptor)
+            except OSError:
+                with suppress(OSError):
+                    os.ftruncate(self._descriptor, self._size)
+                raise
+        self._size += len(line)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def close(self) -> None:
+        """Release the file and its lock; may be called twice."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class StoredLines:
+    """Appends lines in a store, where nothing can be appended: batches become objects ``NAME.0000.jsonl`` and so on.
+
+    What the last half minute brought reaches the store on ``close``; a writer that dies leaves it untold.
+    """
+
+    locked = False
+
+    def __init__(self, path: StorePath) -> None:
+        self.path = path
+        self._lines: list[bytes] = []
+        self._number, self._since = 0, time.monotonic()
+
+    def append_line(self, content: Mapping[str, Any]) -> None:
+        """Add one line.
+
+        Raises:
+            StorageError: the store cannot be written to; the lines are kept for the next try.
+        """
+        self._lines.append(line_of(content))
+        if len(self._lines) >= _BATCH_LINES or time.monotonic() - self._since > _BATCH_S:
+            self._send()
+
+    def _send(self) -> None:
+        if self._lines:
+            stem = self.path.name.removesuffix(".jsonl")
+            batch = self.path.with_name(f"{stem}.{self._number:04d}.jsonl")
+            with storage_errors(batch):
+                batch.write_bytes(b"".join(self._lines))
+            self._lines.clear()
+            self._number += 1
+        self._since = time.monotonic()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def close(self) -> None:
+        """Send what is left; may be called twice."""
+        self._send()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def open_locked(path: Path, *, shared: bool = False, wait: bool = False) -> tuple[int, bool]:
+    """Open a file (made when missing) with its lock, and make sure that it is still the file of that name.
+
+    Returns:
+        Its descriptor, and whether the lock is held: it is not where the file system knows none.
+
+    Raises:
+        InputError: another process holds it, and ``wait`` is false.
+        StorageError: the folder cannot be written to.
+    """
+    while True:
+        with storage_errors(path):
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+        try:
+            taken = take_lock(descriptor, shared=shared, wait=wait)
+            if taken is False:
+                raise InputError(str(path.parent), "another process is writing; wait, or change dataset.output")
+            with suppress(FileNotFoundError):  # the one who held the lock has put another file in its place
+                if os.path.samestat(os.fstat(descriptor), os.stat(path)):
+                    return descriptor, taken is True
+        except BaseException:
+            os.close(descriptor)
+            raise
+        os.close(descriptor)
+
+
+def _end_of_last_line(descriptor: int) -> int:
+    size = os.fstat(descriptor).st_size
+    end, step = size, 4096
+    while end > 0:
+        start = max(0, end - step)
+        found = os.pread(descriptor, end - start, start).rfind(b"\n")
+        if found >= 0:
+            return start + found + 1
+        end = start
+    return 0
