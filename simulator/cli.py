@@ -50,6 +50,7 @@ _OWN = (
     datasets.init,
     datasets.generate,
     datasets.status,
+    datasets.regenerate,
     datasets.merge,
     render.render,
     psf.psf,

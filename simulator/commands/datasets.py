@@ -10,9 +10,15 @@ from typing import Annotated
 import typer
 
 from simulator.commands.shared import ConfigPath, Overrides
+from simulator.console import Bar
 from simulator.errors import InputError
 from simulator.io.store import Place
 
+MadeFrom = Annotated[
+    Path | None,
+    typer.Option("--config", help="the YAML file that it was made from, where that names files or code of its own"),
+]
+TrustCode = Annotated[bool, typer.Option("--trust-code", help="run the code that the data set names")]
 _USE = re.compile(r"# [A-Z][^:]*: +flatlight ")  # in the head of a preset: what it is for
 
 
@@ -53,13 +59,15 @@ def generate(
         bool,
         typer.Option("--accept-exposure", help="go on where no value would carry signal: saturated, black or noise"),
     ] = False,
+    repair: Annotated[
+        bool, typer.Option("--repair", help="check every byte first, and make anew exactly what is damaged")
+    ] = False,
     shard: Annotated[
         str | None,
         typer.Option("--shard", metavar="I/N", help="make part I of N, from 0; the others may run at the same time"),
     ] = None,
 ) -> None:
     """Make a data set, or finish one that was begun."""
-    from simulator.console import Bar
     from simulator.dataset.checksums import CONTACT_SHEET
     from simulator.dataset.job import generate as run
     from simulator.dataset.manifest import FAILED, SKIPPED
@@ -73,6 +81,7 @@ def generate(
             shard=None if shard is None else Shard.parsed(shard),
             skip_bad=skip_bad,
             accept_exposure=accept_exposure,
+            repair=repair,
             progress=bar.update,
             say=bar.say,
             finish=_draw,
@@ -113,12 +122,36 @@ def status(
     print(run(path, shards))
 
 
+def regenerate(
+    path: Annotated[str, typer.Argument(help="folder of the data set, or its place in an object store")],
+    samples: Annotated[list[str], typer.Argument(metavar="SAMPLE...", help="such as s00000012 or train/s00000012")],
+    config: MadeFrom = None,
+    trust_code: TrustCode = False,
+) -> None:
+    """Make samples again and compare them with the stored ones, which stay as they are."""
+    from simulator.dataset.regeneration import named_sample
+
+    _make_again(path, [named_sample(path, name) for name in samples], config, trust_code)
+
+
+def _make_again(path: str, keys: list[tuple[str, str]], config: Path | None, trust_code: bool) -> None:
+    from simulator.dataset.regeneration import regenerate as run
+
+    with Bar() as bar:
+        found = run(path, keys, config=config, trust_code=trust_code, progress=bar.update)
+    for line in found.elsewhere:
+        print(f"not as where it was made: {line}")
+    for sample in found.samples:
+        print(sample)
+    if found.faults:
+        raise typer.Exit(2)
+
+
 def merge(
     output: Annotated[str, typer.Argument(help="the data set that the samples come together in; may be a new folder")],
     parts: Annotated[list[str], typer.Argument(help="folders of data sets of the same configuration")],
 ) -> None:
     """Make one data set of parts that were made apart."""
-    from simulator.console import Bar
     from simulator.dataset.merging import merge as run
 
     with Bar() as bar:
@@ -148,9 +181,13 @@ def verify(
     seal: Annotated[
         bool, typer.Option("--seal", help="write checksums.json where it is all that is missing, as in older data sets")
     ] = False,
+    deep: Annotated[
+        int, typer.Option("--deep", metavar="COUNT", min=0, help="make so many random samples again, and compare them")
+    ] = 0,
+    config: MadeFrom = None,
+    trust_code: TrustCode = False,
 ) -> None:
-    """Re-hash and re-read every file of a data set; runs none of its code."""
-    from simulator.console import Bar
+    """Re-hash and re-read every file of a data set; of its code only --deep runs any, and only what you trust."""
     from simulator.dataset.verification import verify as run
 
     with Bar() as bar:
@@ -160,3 +197,7 @@ def verify(
     print(report)
     if not report.ok:
         raise typer.Exit(2)
+    if deep:
+        from simulator.dataset.regeneration import some_samples
+
+        _make_again(path, some_samples(path, deep), config, trust_code)

@@ -36,6 +36,7 @@ from simulator.dataset.preparation import (
 from simulator.dataset.problems import list_problems
 from simulator.dataset.reader import all_metadata
 from simulator.dataset.recipe import make_sample, perform
+from simulator.dataset.repair import take_out_bad
 from simulator.dataset.sample import sample_id, sample_index
 from simulator.dataset.shards import Shard, alone, is_prepared, sharing
 from simulator.errors import InputError
@@ -81,6 +82,7 @@ def generate(
     shard: Shard | None = None,
     skip_bad: bool = False,
     accept_exposure: bool = False,
+    repair: bool = False,
     progress: Report | None = None,
     say: Say | None = None,
     finish: Callable[[Place], object] | None = None,
@@ -95,6 +97,7 @@ def generate(
             samples that fail by an ``InputError`` (they are not tried again). Without it the former are refused, the latter
             reported and tried again by the next run.
         accept_exposure: go on where no value carries signal: all are saturated, black or below the noise.
+        repair: check every byte first, and make anew exactly what is not as it was written.
         progress: called with (stage, done, total).
         say: called with lines worth reading: the backend, measured errors, warnings.
         finish: called with the data set's folder, where it has samples, before ``checksums.json`` seals it: to draw its
@@ -111,12 +114,29 @@ def generate(
     told, said = progress or (lambda stage, done, total: None), say or (lambda line: None)
     with config.refusals():
         plan = make_plan(config, skip_bad, told, said)
+        if repair:
+            _repair(plan, shard, told, said)
         job = _Job(plan, shard, accept_exposure, told, said, finish or (lambda root: None))
         job.run()
     skipped = tuple(f"{split}/{name}: {reason}" for (split, name), reason in load_skipped(plan.root).items())
     seconds = time.perf_counter() - begin
     failed = tuple(sorted(job.failed))
     return GenerateResult(plan.root, job.made, job.kept, failed, seconds, skipped, plan.problems, job.missing)
+
+
+def _repair(plan: Plan, shard: Shard | None, progress: Report, say: Say) -> None:
+    if shard is not None:
+        raise InputError("--repair", "got it beside --shard, but it needs to be alone with the data set; leave one out")
+    if existing_info(plan) is None:
+        raise InputError("--repair", f"{plan.root} holds no data set yet; leave it out")
+    workers = 1 if plan.config.dataset.engine == "inline" else plan.config.dataset.workers
+    removed = take_out_bad(plan.root, workers, lambda done, total: progress("samples checked", done, total))
+    for name in removed.stacks:
+        say(f"repair: the stack in {name}/ is damaged and is made anew")
+    for name in removed.samples:
+        say(f"repair: {name} is damaged and is made anew")
+    if not (removed.samples or removed.stacks):
+        say("repair: no sample and no stack is damaged")
 
 
 @dataclass

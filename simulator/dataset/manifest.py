@@ -7,7 +7,7 @@ What a data set holds is the union of all. The last run to end merges them.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from itertools import chain, pairwise
 from types import TracebackType
@@ -72,23 +72,31 @@ class FailedSample:
 # ---- reading
 
 
-def load_manifest(root: Place | str) -> Manifest:
+def load_manifest(root: Place | str, *, skip_bad: bool = False) -> Manifest:
     """Load a data set's manifest; a missing file is an empty one.
+
+    ``skip_bad``: leave out lines that hold no entry; they count as torn.
 
     Raises:
         InputError: unreadable file, or a bad line before the last.
     """
-    return _settled(lambda: _manifest(place(root)))
+    return _settled(lambda: _manifest(place(root), skip_bad))
 
 
-def _manifest(root: Place) -> Manifest:
+def _manifest(root: Place, skip_bad: bool) -> Manifest:
     entries: dict[Key, Entry] = {}
     lines, torn = 0, False
     for where, line in _lines(root, MANIFEST):
         if not line.endswith(b"\n"):
             torn = True
             continue
-        content, key = _content(where, line, _is_entry, _ENTRY)
+        try:
+            content, key = _content(where, line, _is_entry, _ENTRY)
+        except InputError:
+            if not skip_bad:
+                raise
+            torn = True
+            continue
         content["stages"] = tuple(content.get("stages", ()))
         entries[key] = Entry(**content)
         lines += 1
@@ -286,10 +294,9 @@ class ManifestWriter(_ListWriter):
 
     def append(self, record: SampleRecord, seconds: float, stages: tuple[float, ...] = ()) -> None:
         """Add one line; see `AppendedLines.append_line`."""
-        times = {"seconds": round(float(seconds), 4), "stages": [round(float(part), 4) for part in stages]}
-        self._append(
-            record.split, record.id, asdict(record) | {name: time for name, time in times.items() if time != []}
-        )
+        parts = tuple(round(float(part), 4) for part in stages)
+        entry = Entry(**asdict(record), seconds=round(float(seconds), 4), stages=parts)
+        self._lines.append_line(_entry_content(entry))
 
 
 class SkippedWriter(_ListWriter):
@@ -330,8 +337,19 @@ class FailedWriter(_ListWriter):
         self._append(split, sample_id(index), {"reason": reason, "attempts": attempts, "traceback": traceback})
 
 
-def merge_lists(root: Place) -> None:
+def rewrite_manifest(root: Place, entries: Iterable[Entry]) -> None:
+    """Replace the manifest; nobody else may be writing, and whoever has it open writes to the old one.
+
+    Raises:
+        StorageError: the disk is full; the manifest stays as it was before.
+    """
+    write_atomic(root / MANIFEST, b"".join(line_of(_entry_content(entry)) for entry in entries))
+
+
+def merge_lists(root: Place, *, skip_bad: bool = False) -> None:
     """Merge all writers' lists into those of the data set, one line a sample; nobody else may be writing.
+
+    ``skip_bad``: drop lines that hold no entry.
 
     Raises:
         InputError: see `load_manifest`.
@@ -339,11 +357,9 @@ def merge_lists(root: Place) -> None:
     """
     with read_errors(root / WRITERS):
         many = (root / WRITERS).exists()
-    manifest = load_manifest(root)
-    if many or manifest.duplicates:
-        write_atomic(
-            root / MANIFEST, b"".join(line_of(_without_defaults(entry)) for entry in manifest.entries.values())
-        )
+    manifest = load_manifest(root, skip_bad=skip_bad)
+    if many or manifest.duplicates or manifest.torn:
+        rewrite_manifest(root, manifest.entries.values())
     if not many:
         return
     rest: dict[str, dict[Key, dict[str, Any]]] = {
@@ -357,7 +373,7 @@ def merge_lists(root: Place) -> None:
     remove_folder(root / WRITERS)
 
 
-def _without_defaults(entry: Entry) -> dict[str, Any]:
+def _entry_content(entry: Entry) -> dict[str, Any]:
     content = asdict(entry)
     if not entry.stages:
         del content["stages"]

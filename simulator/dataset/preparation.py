@@ -94,7 +94,7 @@ def _described(plan: Plan, stack: PsfStack, exposure: dict[str, Any]) -> Dataset
         config=dump(config),
         fingerprint=plan.fingerprint,
         fingerprint_parts=plan.parts,
-        versions=plan.parts["versions"] | {"cpu": _cpu_level()},
+        versions=plan.parts["versions"] | {"cpu": cpu_level()},
         backend=plan.recipe.backend,
         exposure=exposure,
         counts=plan.counts,
@@ -273,7 +273,7 @@ def reason_of(outcome: Outcome[Any, Any]) -> str:
     return (str(error) if isinstance(error, InputError | WorkerError) else described(error)) + tried
 
 
-def _cpu_level() -> str:
+def cpu_level() -> str:
     """Return the processor kind and its best vector extension: NumPy's float32 functions differ between them."""
     shown: Any = np.show_config(mode="dicts")
     found = shown.get("SIMD Extensions", {}).get("found") or ["baseline"]

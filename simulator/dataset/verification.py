@@ -16,7 +16,16 @@ from simulator.camera.shutter import Shutter
 from simulator.dataset.checksums import CHECKSUMS, changed_files, files_to_seal, read_seal, write_seal
 from simulator.dataset.dataset_info import FILE, DatasetInfo, check_fingerprint, check_shutter, read_info
 from simulator.dataset.engines import run
-from simulator.dataset.manifest import MANIFEST, SKIPPED, Entry, Manifest, ManifestWriter, load_manifest, load_skipped
+from simulator.dataset.manifest import (
+    MANIFEST,
+    SKIPPED,
+    Entry,
+    Key,
+    Manifest,
+    ManifestWriter,
+    load_manifest,
+    load_skipped,
+)
 from simulator.dataset.sample import (
     DESCRIPTION,
     SPLITS,
@@ -42,6 +51,7 @@ class Report:
         wanted: samples per split that ``dataset.json`` asks for.
         skipped: samples per split that ``generate --skip-bad`` left out for good; none where a split is absent.
         notes: one line per file that may lie there, but was not checked.
+        bad: the samples that are not intact.
     """
 
     problems: tuple[str, ...]
@@ -49,6 +59,7 @@ class Report:
     wanted: dict[str, int]
     skipped: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    bad: frozenset[Key] = frozenset()
 
     @property
     def ok(self) -> bool:
@@ -120,11 +131,12 @@ def verify(
     counts = dict.fromkeys(info.counts, 0)
     engine = "inline" if workers == 1 else "local"
     check = partial(check_sample, root, info, shutter, fingerprint)
-    entries = list(manifest.entries.values())
+    entries, bad = list(manifest.entries.values()), set[Key]()
     for number, outcome in enumerate(run(engine, check, entries, workers=workers), start=1):
         entry = outcome.task
         found = [f"{entry.split}/{entry.id}: {outcome.error}"] if outcome.error else outcome.value or []
         problems += found
+        bad |= {(entry.split, entry.id)} if found else set()
         counts[entry.split] = counts.get(entry.split, 0) + (not found)
         if progress is not None:
             progress(number, len(entries))
@@ -133,7 +145,7 @@ def verify(
             write_seal(root)
     elif not sealed:
         problems.insert(0, _UNSEALED)
-    return Report(tuple(problems), counts, info.counts, dict(skipped), notes)
+    return Report(tuple(problems), counts, info.counts, dict(skipped), notes, frozenset(bad))
 
 
 _UNSEALED = (
