@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from simulator.dataset.dataset_info import FILE
-from simulator.dataset.manifest import FAILED, MANIFEST, PROBLEMS, SKIPPED
+from simulator.dataset.manifest import FAILED, MANIFEST, PROBLEMS, SKIPPED, ManifestWriter
 from simulator.errors import InputError
 from simulator.io.files import read_text, sha256_bytes, sha256_file, storage_errors, sync_folder, write_atomic
 from simulator.io.json import canonical_json, readable_json
@@ -21,12 +21,15 @@ from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, is_stack_f
 
 CHECKSUMS = "checksums.json"
 CONTACT_SHEET = "contact_sheet.png"
+REPORT = "report.html"
 _STACKS = (PSF_FOLDER, CAPTURED_FOLDER)
 
 
 def files_to_seal(root: Path) -> list[str]:
     """Return the names, below ``root``, of the files there that no sample's digest covers, but the seal itself."""
-    names = [name for name in (FILE, MANIFEST, SKIPPED, FAILED, PROBLEMS, CONTACT_SHEET) if (root / name).exists()]
+    names = [
+        name for name in (FILE, MANIFEST, SKIPPED, FAILED, PROBLEMS, CONTACT_SHEET, REPORT) if (root / name).exists()
+    ]
     stacks = [path for folder in _STACKS for path in sorted((root / folder).glob("*")) if is_stack_file(path)]
     return names + [path.relative_to(root).as_posix() for path in stacks]
 
@@ -40,6 +43,24 @@ def write_seal(root: Path) -> None:
     """
     hashes = {name: sha256_file(root / name) for name in files_to_seal(root)}
     write_atomic(root / CHECKSUMS, _content(hashes))
+
+
+def write_beside(root: Path, name: str, data: bytes) -> None:
+    """Write a file that is drawn from a data set into its folder; a seal that is there lists it from then on.
+
+    All other hashes stay as they were sealed, so what has changed since is still found.
+
+    Raises:
+        InputError: a damaged seal, or a job is writing to a sealed data set; nothing is written.
+        StorageError: the folder is protected, or the disk is full.
+    """
+    hashes = read_seal(root)
+    if hashes is None:
+        write_atomic(root / name, data)
+        return
+    with ManifestWriter(root):  # its lock: no job is writing
+        write_atomic(root / name, data)
+        write_atomic(root / CHECKSUMS, _content(hashes | {name: sha256_bytes(data)}))
 
 
 def read_seal(root: Path) -> dict[str, str] | None:

@@ -173,6 +173,38 @@ def load_skipped(root: Path | str) -> dict[Key, str]:
     return _by_sample(path, read_lines(path)[0], _reason, expected)
 
 
+@dataclass(frozen=True)
+class Failure:
+    """Why a sample could not be made.
+
+    Attributes:
+        reason: the error in a line.
+        attempts: how often it was tried.
+        traceback: where the error came from; may be empty.
+    """
+
+    reason: str
+    attempts: int
+    traceback: str
+
+
+def load_failed(root: Path | str) -> dict[Key, Failure]:
+    """Return why samples could not be made, by (split, id) in order; empty without a list.
+
+    Raises:
+        InputError: unreadable file, or a bad line before the last.
+    """
+    path = Path(root) / FAILED
+    expected = "id, split, reason, attempts, traceback; delete the file: the next run writes it anew"
+    return _by_sample(path, read_lines(path)[0], _failure, expected)
+
+
+def _failure(content: dict[str, Any]) -> Failure | None:
+    failure = Failure(content["reason"], content["attempts"], content["traceback"])
+    typed = isinstance(failure.reason, str) and isinstance(failure.traceback, str)
+    return failure if typed and isinstance(failure.attempts, int) else None
+
+
 def _reason(content: dict[str, Any]) -> str | None:
     return content["reason"] if isinstance(content["reason"], str) else None
 
