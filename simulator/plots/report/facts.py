@@ -169,7 +169,8 @@ def failure_list(records: Records) -> Html:
         parts.append(paragraph(f"{_counted(failed)} could not be made ({FAILED}); the next run tries again."))
     for (split, name), failure in failed[:_LISTED]:
         tries = "tried once" if failure.attempts == 1 else f"tried {failure.attempts} times"
-        head = Html(f"<b>{shown(f'{split}/{name}')}</b>: {shown(failure.reason)} <small>({tries})</small>")
+        reason = failure.reason.removesuffix(f" ({tries})")
+        head = Html(f"<b>{shown(f'{split}/{name}')}</b>: {shown(reason)} <small>({tries})</small>")
         trace = Html(f'<pre tabindex="0">{shown(failure.traceback or "No traceback was recorded.")}</pre>')
         parts.append(folded(head, trace))
     parts.append(_more(failed))

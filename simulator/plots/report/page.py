@@ -62,11 +62,12 @@ def report_html(root: Path | str, *, samples: int = SAMPLES) -> str:
     records = read_records(Path(root))
     found, damaged = read_samples(_splits(records), samples)
     optics, data = _optics(records)
-    problems = records.problems + damaged
+    # Wherever the folder lies, its page is the same.
+    problems = [line.replace(f"{records.root}/", "") for line in records.problems + damaged]
     parts = {
         "samples": ("Samples", _samples(found)),
         "psf": ("Point spread functions", optics),
-        "statistics": ("What the samples are worth", charts(records.root, len(records.entries), found)),
+        "statistics": ("Exposure, noise and depth", charts(records.root, len(records.entries), found)),
         "splits": ("Splits and labels", joined((split_table(records), label_table(records)))),
         "errors": ("Error budget", budget_table(records.budget)),
         "time": ("Time", time_parts(records)),

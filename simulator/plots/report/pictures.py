@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,10 @@ from simulator.plots.report.markup import Html, shown
 if TYPE_CHECKING:
     from PIL import Image
 
-_EXACT_BYTES, _QUALITY = 6000, 85  # images are exact where that takes no more bytes, of this quality otherwise
+FEW, SOME, MANY = 6_000, 40_000, 60_000
+"""Bytes of an image at most: one of some hundreds, of some dozens, and one whose details matter."""
+_QUALITIES = (85, 70, 50, 25)
+_HOPELESS = 10  # times the bytes that an image may have: no image becomes so much smaller without loss
 
 
 def shrunk(pixels: NDArray[np.uint8], side: int, *, mix: bool = True) -> NDArray[np.uint8]:
@@ -31,12 +34,13 @@ def shrunk(pixels: NDArray[np.uint8], side: int, *, mix: bool = True) -> NDArray
     return np.asarray(Image.fromarray(pixels).resize(size, rule))
 
 
-def picture(pixels: NDArray[np.uint8], described: str, **attributes: object) -> Html:
-    """Return an image element of pixels ``(h, w, 3)``.
+def picture(pixels: NDArray[np.uint8], described: str, most_bytes: int, **attributes: object) -> Html:
+    """Return an image element of pixels ``(h, w, 3)``, exact where that takes few bytes.
 
     Args:
         pixels: sRGB.
         described: what is seen, for those who do not see it.
+        most_bytes: of the file; the quality is the best of some with which it takes no more.
         attributes: more of the element; True stands for one without a value, False for none, ``_`` for ``-``.
     """
     from PIL import Image
@@ -47,17 +51,18 @@ def picture(pixels: NDArray[np.uint8], described: str, **attributes: object) -> 
         for name, value in attributes.items()
         if value is not False
     )
-    image = Image.fromarray(pixels)
-    exact = _webp(image, lossless=True)
-    data = exact if len(exact) <= _EXACT_BYTES else _webp(image, quality=_QUALITY)
-    source = f"data:image/webp;base64,{base64.b64encode(data).decode()}"
+    source = f"data:image/webp;base64,{base64.b64encode(_webp(Image.fromarray(pixels), most_bytes)).decode()}"
     return Html(f'<img src="{source}" width="{columns}" height="{rows}" alt="{shown(described)}"{more}>')
 
 
-def _webp(image: Image.Image, **options: Any) -> bytes:
-    stream = io.BytesIO()
-    image.save(stream, "WEBP", method=4, **options)
-    return stream.getvalue()
+def _webp(image: Image.Image, most_bytes: int) -> bytes:
+    exact = [{"lossless": True}] if 3 * image.width * image.height <= _HOPELESS * most_bytes else []
+    for options in (*exact, *({"quality": quality} for quality in _QUALITIES)):
+        stream = io.BytesIO()
+        image.save(stream, "WEBP", method=4, **options)
+        if stream.tell() <= most_bytes:
+            return stream.getvalue()
+    return _webp(image.reduce(2), most_bytes)  # noise
 
 
 def depth_legend(near_m: float, far_m: float) -> Html:

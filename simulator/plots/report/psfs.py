@@ -18,7 +18,7 @@ from simulator.plots.drawing import three_channels
 from simulator.plots.psf import psf_white
 from simulator.plots.report.facts import number_of
 from simulator.plots.report.markup import Html, joined, paragraph, shown
-from simulator.plots.report.pictures import picture, shrunk
+from simulator.plots.report.pictures import MANY, picture, shrunk
 from simulator.text import length
 from simulator.types import View
 
@@ -128,7 +128,7 @@ def _image(psf: NDArray[np.float32], channels: tuple[str, ...], white: float, na
     stretched = np.sqrt(np.clip(three_channels(psf, channels) / white, 0, 1))
     pixels = shrunk((stretched * 255).round().astype(np.uint8), _SIDE)
     described = f"PSF at {name} on the axis, white is {white:.2g} times the light at the mask, square-root stretch"
-    return picture(pixels, described)
+    return picture(pixels, described, MANY)
 
 
 def _names(info: DatasetInfo, sources: PointSources, axis: int) -> list[str]:

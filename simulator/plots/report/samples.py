@@ -25,7 +25,7 @@ from simulator.plots.drawing import (
 )
 from simulator.plots.report.facts import number_of
 from simulator.plots.report.markup import Html, joined, paragraph, shown
-from simulator.plots.report.pictures import depth_legend, picture, shrunk
+from simulator.plots.report.pictures import FEW, SOME, depth_legend, picture, shrunk
 from simulator.text import share
 
 _FRAMES, _FRAMES_IN_ALL = 12, 288  # of one clip, and of all clips together: they are most of the page's bytes
@@ -184,14 +184,16 @@ def _words(sample: Shown) -> Iterator[str]:
 def _measurement(sample: Shown) -> Html:
     mean = float(sample.measurement.mean())
     pixels = shrunk(encoded(sample.measurement), _MEASUREMENT)
-    return picture(pixels, f"measurement of {sample.name}, mean {mean:.2f} of full scale")
+    return picture(pixels, f"measurement of {sample.name}, mean {mean:.2f} of full scale", SOME)
 
 
 def _truths(sample: Shown, white: float) -> Iterator[Html]:
     for number, (frame, when) in enumerate(zip(sample.frames, sample.times, strict=True)):
         lit = f"mean radiance {float(frame.rgb.mean()):.3g}, greatest {float(frame.rgb.max()):.3g}"
         described = ", ".join(filter(None, (f"ground truth of {sample.name}", when, lit)))
-        yield picture(shrunk(encoded(frame.rgb, white), _side(sample)), described, **_place(sample, number))
+        yield picture(
+            shrunk(encoded(frame.rgb, white), _side(sample)), described, _bytes(sample), **_place(sample, number)
+        )
 
 
 def _depths(sample: Shown, range_m: tuple[float, float]) -> Iterator[Html]:
@@ -200,11 +202,15 @@ def _depths(sample: Shown, range_m: tuple[float, float]) -> Iterator[Html]:
         middle = f"median {centimetres(float(np.median(seen)))}" if seen.size else "nothing seen"
         described = ", ".join(filter(None, (f"depth of {sample.name}", when, middle)))
         pixels = shrunk(depth_colours(frame.depth_m, frame.valid, *range_m), _side(sample), mix=False)
-        yield picture(pixels, described, **_place(sample, number))
+        yield picture(pixels, described, _bytes(sample), **_place(sample, number))
 
 
 def _side(sample: Shown) -> int:
     return _STILL if len(sample.frames) == 1 else _FRAME
+
+
+def _bytes(sample: Shown) -> int:
+    return SOME if len(sample.frames) == 1 else FEW
 
 
 def _place(sample: Shown, number: int) -> dict[str, Any]:

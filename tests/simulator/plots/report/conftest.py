@@ -3,6 +3,7 @@
 import base64
 import json
 import os
+import select
 import shutil
 import signal
 import subprocess
@@ -67,14 +68,17 @@ class Browser:
 
     def _next(self) -> dict[str, Any]:
         while b"\0" not in self._rest:
+            ready, _, _ = select.select([self._read], [], [], 60)
+            assert ready, "Chromium does not answer"
             data = os.read(self._read, 1 << 20)
             assert data, "Chromium has ended"
             self._rest += data
         message, _, self._rest = self._rest.partition(b"\0")
         return json.loads(message)
 
-    def open(self, path: Path, width: int = 1280, height: int = 900, **media: str) -> None:
+    def open(self, path: Path, width: int = 1280, height: int = 900, *, scripts: bool = True, **media: str) -> None:
         """Open a file in a window of that size; ``media`` are features such as ``prefers_color_scheme="dark"``."""
+        self.call("Emulation.setScriptExecutionDisabled", value=not scripts)
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
         self.call("Emulation.setScrollbarsHidden", hidden=True)
         features = [{"name": name.replace("_", "-"), "value": value} for name, value in media.items()]
@@ -83,10 +87,9 @@ class Browser:
         self.call("Page.navigate", url=path.absolute().as_uri())
         while not any(event.get("method") == "Page.loadEventFired" for event in self.events):
             self.events.append(self._next())
-        # Images are decoded and drawn one after the other: an answer that comes behind them.
-        self(
-            "Promise.all([...document.images].map((image) => image.decode())).then(() => new Promise(requestAnimationFrame))"
-        )
+        if scripts:  # images are decoded and drawn one after the other: an answer that comes behind them
+            decoded = "Promise.all([...document.images].map((image) => image.decode()))"
+            self(f"{decoded}.then(() => new Promise(requestAnimationFrame))")
 
     def __call__(self, expression: str) -> Any:
         """Return the value of a JavaScript expression, of a promise its result."""

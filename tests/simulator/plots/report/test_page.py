@@ -6,7 +6,7 @@ import io
 import json
 import re
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from importlib.resources import files
 from itertools import pairwise
@@ -19,10 +19,11 @@ from PIL import Image
 
 from simulator.dataset import open_dataset, verify
 from simulator.dataset.dataset_info import read_info, write_info
-from simulator.dataset.manifest import FailedWriter, ManifestWriter, SkippedWriter, load_manifest
+from simulator.dataset.manifest import Entry, FailedWriter, ManifestWriter, SkippedWriter, load_manifest
 from simulator.dataset.sample import SampleRecord, write_sample
 from simulator.errors import InputError
 from simulator.plots.drawing import encoded, white_level
+from simulator.plots.report.facts import label_table, read_records, time_parts
 from simulator.plots.report.page import report_html, write_report
 from simulator.plots.report.samples import chosen_positions, snr_db
 
@@ -110,6 +111,34 @@ def test_key_figures_and_records_are_there(page: Reader, trial_set: Path) -> Non
         assert words in text
     assert "CPU-hours" in text
     assert page.text("p").count("No sample failed, none was skipped.") == 1
+
+
+@dataclass(frozen=True)
+class TimedEntry(Entry):
+    """What manifests will hold."""
+
+    stages: dict[str, float]
+
+
+def test_time_is_shared_out_among_stages(dataset: Path) -> None:
+    records = read_records(dataset)
+    assert "Time per stage" not in time_parts(records)
+    entries = {
+        key: TimedEntry(**vars(entry), stages={"scene": 3.0, "<files>": 1.0}) for key, entry in records.entries.items()
+    }
+    page = Reader(time_parts(replace(records, entries=entries)))
+    widths = [float(found["width"]) for found in page.all("rect") if found.get("class", "").startswith("part")]
+    assert widths == [75, 25]
+    assert page.text("td")[:4] == ["12 s", "75 %", "4 s", "25 %"]
+    assert "<files>" in page.text("th")
+
+
+def test_labels_are_counted_per_split(samples: ModuleType, tmp_path: Path) -> None:
+    root = samples.make_dataset(tmp_path / "set", lambda index: samples.make_sample(index, label=f"class {index % 2}"))
+    page = Reader(label_table(read_records(root)))
+    assert page.text("td") == ["2", "1", "0", "3", "1", "0", "0", "1"]  # train, validation, test, all
+    widths = [float(found["width"]) for found in page.all("rect")]
+    np.testing.assert_allclose(widths, [100, 100 / 3], atol=0.01)
 
 
 def test_samples_are_spread_over_the_splits() -> None:
@@ -244,6 +273,9 @@ def test_damaged_samples_are_left_out_and_named(dataset: Path) -> None:
     assert cards(page) == ["train/s00000000", "validation/s00000000"]
     lines = page.text("li")
     assert [line.split(":")[0] for line in lines] == ["train/s00000001", "train/s00000002"]
+    assert "train/0000/s00000001/measurement.exr" in lines[0]
+    moved = dataset.rename(dataset.with_name("elsewhere"))
+    assert Reader(report_html(moved)).text("li") == lines
 
 
 def test_a_page_without_samples_or_psfs(samples: ModuleType, tmp_path: Path) -> None:
