@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from simulator.commands.shared import check_output_file
+from simulator.plots.report import SAMPLES
 
 
 def report(
@@ -15,7 +16,7 @@ def report(
     output: Annotated[
         Path | None, typer.Option("--output", help="the page (.html); FOLDER/report.html", show_default=False)
     ] = None,
-    samples: Annotated[int, typer.Option(min=1, help="samples shown, spread over the splits")] = 24,
+    samples: Annotated[int, typer.Option(min=1, help="samples shown, spread over the splits")] = SAMPLES,
 ) -> None:
     """Draw a data set, finished or still growing, as one page to look at; runs none of its code."""
     from simulator.io.files import write_atomic

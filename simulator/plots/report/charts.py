@@ -39,7 +39,7 @@ def charts(root: Path, finished: int, samples: Sequence[Shown]) -> Html:
         else f"{_MOST:,} of {finished:,} samples, evenly chosen"
     )
     drawn, told = list(_of_shown(samples)), []
-    metadata = list(all_metadata(root, _MOST))
+    metadata = list(all_metadata(root, _MOST)) if finished else []
     for key, (title, unit) in _SHARES.items():
         values = [value for one in metadata if (value := number_of(one, key)) is not None]
         if values and min(values) == max(values):

@@ -12,6 +12,7 @@ from string import Template
 from simulator.dataset.checksums import REPORT, write_beside
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
+from simulator.plots.report import SAMPLES
 from simulator.plots.report.charts import charts
 from simulator.plots.report.facts import (
     Records,
@@ -28,9 +29,6 @@ from simulator.plots.report.markup import Html, embedded_json, facts, folded, jo
 from simulator.plots.report.psfs import explorer
 from simulator.plots.report.samples import Shown, read_samples, sample_cards
 from simulator.text import length, share
-
-SAMPLES = 24
-"""Samples that a page shows when nothing is said."""
 
 
 def write_report(root: Path | str, *, samples: int = SAMPLES) -> Path:
@@ -127,10 +125,10 @@ def _key_figures(records: Records, found: list[Shown]) -> Iterator[tuple[str, st
     yield "samples finished", f"{len(records.entries):,} of {sum(records.info.counts.values()):,}"
     saturated = [sample.shares["saturated"] for sample in found if "saturated" in sample.shares]
     if saturated:
-        yield "saturated", share(sum(saturated) / len(saturated))
+        yield "saturated, mean of those shown", share(sum(saturated) / len(saturated))
     snr = sorted(sample.snr_db for sample in found if sample.snr_db is not None)
     if snr:
-        yield "median SNR", f"{snr[len(snr) // 2]:.1f} dB"
+        yield "median SNR of those shown", f"{snr[len(snr) // 2]:.1f} dB"
     if records.budget:
         yield f"largest error: {records.budget[0].name}", share(records.budget[0].value)
     if records.entries:

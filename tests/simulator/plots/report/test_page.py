@@ -278,6 +278,13 @@ def test_damaged_samples_are_left_out_and_named(dataset: Path) -> None:
     assert Reader(report_html(moved)).text("li") == lines
 
 
+def test_a_damaged_manifest_is_named(dataset: Path) -> None:
+    (dataset / "manifest.jsonl").write_text("{}\n")
+    page = Reader(report_html(dataset))
+    assert cards(page) == []
+    assert [line.split(":")[0] for line in page.text("li")] == ["manifest.jsonl"]
+
+
 def test_a_page_without_samples_or_psfs(samples: ModuleType, tmp_path: Path) -> None:
     write_info(tmp_path, samples.make_info())
     with FailedWriter(tmp_path) as failed:
