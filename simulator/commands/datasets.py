@@ -68,7 +68,7 @@ def generate(
     ] = None,
 ) -> None:
     """Make a data set, or finish one that was begun."""
-    from simulator.dataset.checksums import CONTACT_SHEET
+    from simulator.dataset.checksums import REPORT
     from simulator.dataset.job import generate as run
     from simulator.dataset.manifest import FAILED, SKIPPED
     from simulator.dataset.problems import PROBLEMS, shortened
@@ -91,7 +91,7 @@ def generate(
     if result.missing:
         print(f"{result.missing} samples are left to other shards: flatlight status {result.path}")
     elif result.made + result.kept:
-        print(f"look at {result.path / CONTACT_SHEET}")
+        print(f"look at {result.path / REPORT}")
     if result.problems:
         print(f"of the source was left out what {result.path / PROBLEMS} lists: {len(result.problems)} in all")
     if result.skipped:
@@ -171,8 +171,10 @@ def merge(
 def _draw(root: Place) -> None:
     from simulator.dataset.checksums import CONTACT_SHEET
     from simulator.plots.contact_sheet import contact_sheet
+    from simulator.plots.report.page import write_report
 
     contact_sheet(root, root / CONTACT_SHEET)
+    write_report(root)
 
 
 def verify(

@@ -13,7 +13,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from simulator.dataset.dataset_info import FILE
-from simulator.dataset.manifest import FAILED, MANIFEST, SKIPPED
+from simulator.dataset.manifest import FAILED, MANIFEST, SKIPPED, ManifestWriter
 from simulator.dataset.problems import PROBLEMS
 from simulator.errors import InputError
 from simulator.io.files import read_text, remove_file, sha256_bytes, sha256_file, write_atomic
@@ -23,12 +23,14 @@ from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, is_stack_f
 
 CHECKSUMS = "checksums.json"
 CONTACT_SHEET = "contact_sheet.png"
+REPORT = "report.html"
 _STACKS = (PSF_FOLDER, CAPTURED_FOLDER)
 
 
 def files_to_seal(root: Place) -> list[str]:
     """Return the names, below ``root``, of the files there that no sample's digest covers, but the seal itself."""
-    names = [name for name in (FILE, MANIFEST, SKIPPED, FAILED, PROBLEMS, CONTACT_SHEET) if (root / name).exists()]
+    listed = (FILE, MANIFEST, SKIPPED, FAILED, PROBLEMS, CONTACT_SHEET, REPORT)
+    names = [name for name in listed if (root / name).exists()]
     stacks = [path for folder in _STACKS for path in sorted((root / folder).glob("*")) if is_stack_file(path.name)]
     return names + [relative_name(path, root) for path in stacks]
 
@@ -42,6 +44,24 @@ def write_seal(root: Place) -> None:
     """
     hashes = {name: sha256_file(root / name) for name in files_to_seal(root)}
     write_atomic(root / CHECKSUMS, _content(hashes))
+
+
+def write_beside(root: Place, name: str, data: bytes) -> None:
+    """Write a file that is drawn from a data set into its folder; a seal that is there lists it from then on.
+
+    All other hashes stay as they were sealed, so what has changed since is still found.
+
+    Raises:
+        InputError: a damaged seal, or a job is writing to a sealed data set; nothing is written.
+        StorageError: the folder is protected, or the disk is full.
+    """
+    hashes = read_seal(root)
+    if hashes is None:
+        write_atomic(root / name, data)
+        return
+    with ManifestWriter(root):  # its lock: no job is writing
+        write_atomic(root / name, data)
+        write_atomic(root / CHECKSUMS, _content(hashes | {name: sha256_bytes(data)}))
 
 
 def read_seal(root: Place) -> dict[str, str] | None:

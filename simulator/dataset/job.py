@@ -47,6 +47,7 @@ from simulator.optics.stack import PsfStack
 
 OFF_SENSOR_WARNING = 0.01
 CLAMPED_LIGHT_WARNING = 0.05
+_LOOKED_AT = 2000  # samples, by whose metadata a data set is judged
 _LEVELS = 3  # below a data set's folder at which a writer may leave unfinished work: SPLIT/0000/.tmp-s00000000
 
 
@@ -101,7 +102,7 @@ def generate(
         progress: called with (stage, done, total).
         say: called with lines worth reading: the backend, measured errors, warnings.
         finish: called with the data set's folder, where it has samples, before ``checksums.json`` seals it: to draw its
-            contact sheet. With shards, by the last to end.
+            pages. With shards, by the last to end.
 
     Raises:
         InputError: for mistakes in the configuration or its files, or when the folder holds another data set, or one that
@@ -258,7 +259,7 @@ class _Job:
 
     def _sum_up(self, exposure: dict[str, Any]) -> None:
         """Say what the samples' metadata tell of the whole data set."""
-        metadata = list(all_metadata(self.plan.root))
+        metadata = list(all_metadata(self.plan.root, _LOOKED_AT))
         if shares := [found for one in metadata if (found := ExposureShares.from_record(one)) is not None]:
             say_exposure(f"{len(shares)} samples", ExposureShares.mean(shares), exposure, self.plan, self.say)
         clamped = [one["clamped_light_share"] for one in metadata if "clamped_light_share" in one]

@@ -164,9 +164,16 @@ def open_dataset(path: Place | str, split: str = "train") -> Dataset:
     return Dataset(root, split, tuple(load_manifest(root).ids(split)), info)
 
 
-def all_metadata(root: Place | str) -> Iterator[dict[str, Any]]:
-    """Yield the metadata of each finished sample of a data set; damaged ones, which `verify` names, are left out."""
-    for split, name in load_manifest(root).entries:
+def all_metadata(root: Place | str, most: int | None = None) -> Iterator[dict[str, Any]]:
+    """Yield the metadata of each finished sample of a data set; damaged ones, which `verify` names, are left out.
+
+    Args:
+        root: the data set's folder.
+        most: of more samples only so many, evenly spread.
+    """
+    samples = list(load_manifest(root).entries)
+    for at in spread_positions(len(samples), len(samples) if most is None else most):
+        split, name = samples[at]
         with suppress(InputError):
             yield read_description(sample_folder(place(root), split, sample_index(name)))[0]["metadata"]
 

@@ -25,6 +25,9 @@ from simulator.plots.drawing import (
     font,
     png_bytes,
     resized,
+    seen_range_m,
+    three_channels,
+    time_span,
     white_level,
 )
 
@@ -64,7 +67,7 @@ def contact_sheet(dataset_path: Place | str, out_png: Place | str, count: int = 
     positions = sorted(set(np.linspace(0, len(dataset) - 1, min(count, len(dataset))).round().astype(int).tolist()))
     rows = [_Row.of(dataset.stored(position)) for position in positions]
     white = white_level(frame.rgb for row in rows for frame in row.frames)
-    near_m, far_m = _depth_range([row.middle for row in rows])
+    near_m, far_m = seen_range_m([(row.middle.depth_m, row.middle.valid) for row in rows])
     depth_column = 1 + max(len(row.frames) for row in rows)
     tiles = [_tiles(row, depth_column, white, (near_m, far_m)) for row in rows]
     widths = [max(150, *(row[column].width for row in tiles if column in row)) for column in range(depth_column + 1)]
@@ -120,9 +123,9 @@ class _Row:
         middle = len(frames) // 2
         times = []
         if edges_s is not None:
-            shown = [f"{number + 1} of {count}: {_span(edges_s[number : number + 2])}" for number in numbers]
-            times = [_span(edges_s), *shown, shown[middle]]
-        measurement = _three_channels(stored.measurement()[0], stored.channels)
+            shown = [f"{number + 1} of {count}: {time_span(edges_s[number : number + 2])}" for number in numbers]
+            times = [time_span(edges_s), *shown, shown[middle]]
+        measurement = three_channels(stored.measurement()[0], stored.channels)
         return cls(measurement, frames, frames[middle], stored.label, times)
 
 
@@ -134,16 +137,6 @@ def _tiles(row: _Row, depth_column: int, white: float, range_m: tuple[float, flo
     return tiles | {depth_column: resized(colours, _TILE)}
 
 
-def _span(edges_s: NDArray[np.float64]) -> str:
-    """Return the time from the first to the last of some edges in words.
-
-    Example:
-        >>> _span(np.array([0.0015, 0.002, 0.003]))
-        '1.5 to 3 ms'
-    """
-    return f"{edges_s[0] * 1e3:.4g} to {edges_s[-1] * 1e3:.4g} ms"
-
-
 def _chosen_split(path: Place, split: str | None) -> Dataset:
     splits = [split] if split is not None else list(read_info(path).counts)
     for name in splits:
@@ -151,19 +144,3 @@ def _chosen_split(path: Place, split: str | None) -> Dataset:
         if len(dataset):
             return dataset
     raise InputError(path, f"has no finished sample in {', '.join(splits) or 'any split'}; nothing to draw")
-
-
-def _depth_range(frames: list[SceneFrame]) -> tuple[float, float]:
-    seen = np.concatenate([frame.depth_m[frame.valid] for frame in frames])
-    if seen.size == 0:
-        seen = np.concatenate([frame.depth_m.ravel() for frame in frames])
-    return float(seen.min()), float(seen.max())
-
-
-def _three_channels(planes: NDArray[np.float32], names: tuple[str, ...]) -> NDArray[np.float32]:
-    """A measurement as ``(H, W, 3)``: R, G, B where they exist, else the first three channels, else grey."""
-    if {"R", "G", "B"} <= set(names):
-        return np.stack([planes[names.index(name)] for name in "RGB"], axis=-1)
-    if len(planes) >= 3:
-        return np.moveaxis(planes[:3], 0, -1)
-    return np.repeat(planes.mean(axis=0)[..., None], 3, axis=-1)

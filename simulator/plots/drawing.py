@@ -60,6 +60,15 @@ def encoded(linear: NDArray[np.float32], white: float = 1.0) -> NDArray[np.uint8
     return (linear_to_srgb(np.clip(linear / np.float32(white), 0, 1)) * 255).round().astype(np.uint8)
 
 
+def three_channels(planes: NDArray[np.float32], names: Sequence[str]) -> NDArray[np.float32]:
+    """Return channels ``(C, H, W)`` as ``(H, W, 3)``: R, G, B where they exist, else the first three, else their mean."""
+    if {"R", "G", "B"} <= set(names):
+        return np.stack([planes[names.index(name)] for name in "RGB"], axis=-1)
+    if len(planes) >= 3:
+        return np.moveaxis(planes[:3], 0, -1)
+    return np.repeat(planes.mean(axis=0)[..., None], 3, axis=-1)
+
+
 def resized(pixels: NDArray[np.uint8], height: int) -> Image.Image:
     """Return pixels ``(h, w, 3)`` as an image of that height; enlarged pixels stay visible."""
     from PIL import Image
@@ -103,6 +112,24 @@ def figure_png(figure: Figure) -> bytes:
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": "flatlight"})
     return stream.getvalue()
+
+
+def time_span(edges_s: NDArray[np.float64]) -> str:
+    """Return the time from the first to the last of some edges in words.
+
+    Example:
+        >>> time_span(np.array([0.0015, 0.002, 0.003]))
+        '1.5 to 3 ms'
+    """
+    return f"{edges_s[0] * 1e3:.4g} to {edges_s[-1] * 1e3:.4g} ms"
+
+
+def seen_range_m(images: Sequence[tuple[NDArray[np.float32], NDArray[np.bool_]]]) -> tuple[float, float]:
+    """Return the nearest and the farthest depth of (depth, valid) images where something was seen, or of all of them."""
+    seen = np.concatenate([depth_m[valid] for depth_m, valid in images])
+    if seen.size == 0:
+        seen = np.concatenate([depth_m.ravel() for depth_m, _ in images])
+    return float(seen.min()), float(seen.max())
 
 
 def depth_range(near_m: float, far_m: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -95,7 +96,7 @@ def _magnify(axes: Axes, image: NDArray[Any], pitch_m: float, per_metre: float, 
 
 def draw_psfs(panels: list[Axes], views: list[DepthView], pitch_m: float) -> str:
     """Draw the PSFs side by side, one window and one scale for all, and return the scale in words."""
-    half, white = _window(views), _white(views)
+    half, white = _window(views), psf_white([view.psf for view in views])
     per_metre, unit = _unit(2 * half * pitch_m)
     for axes, view in zip(panels, views, strict=True):
         middle = [n // 2 for n in view.grey.shape]
@@ -203,10 +204,10 @@ def _window(views: list[DepthView]) -> int:
     return half
 
 
-def _white(views: list[DepthView]) -> float:
+def psf_white(psfs: Sequence[NDArray[np.floating]]) -> float:
     """Return the value above which pixels hold a hundredth of the light: a lone hot pixel does not darken the rest."""
-    values = np.sort(np.concatenate([view.psf.ravel() for view in views]))[::-1]
-    light = np.cumsum(values)
+    values = np.sort(np.concatenate([psf.ravel() for psf in psfs]))[::-1]
+    light = np.cumsum(values, dtype=np.float64)
     return float(values[np.searchsorted(light, _WHITE_SHARE * light[-1])])
 
 

@@ -96,7 +96,7 @@ class TestGenerate:
         assert code == 0, err
         assert "4 samples made in " in out
         assert f": {trial.folder / 'out'}" in out
-        assert f"look at {trial.folder / 'out' / 'contact_sheet.png'}" in out
+        assert f"look at {trial.folder / 'out' / 'report.html'}" in out
         assert verify(trial.folder / "out").ok
         assert "samples: 4 of 4" in err  # plain lines, since this is no terminal
         assert "error budget, worst first" in err

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from simulator.dataset.manifest import MANIFEST, ManifestWriter, load_manifest, load_skipped
+from simulator.dataset.manifest import MANIFEST, FailedWriter, ManifestWriter, load_failed, load_manifest, load_skipped
 from simulator.dataset.sample import SampleRecord, sample_id
 from simulator.errors import InputError
 from simulator.io import files
@@ -114,3 +114,18 @@ def test_a_list_of_skipped_samples_that_was_torn_or_spoilt(tmp_path: Path) -> No
     path.write_text('{"id":"s00000003","split":"all","reason":"bad"}\n')
     with pytest.raises(InputError, match=r"skipped\.jsonl:1: "):
         load_skipped(tmp_path)
+
+
+def test_failures_come_back_in_order(tmp_path: Path) -> None:
+    assert load_failed(tmp_path) == {}
+    with FailedWriter(tmp_path) as failed:
+        for index, split in ((5, "test"), (3, "train")):
+            failed.append(split, index, "SystemExit: 0", 3, "Traceback")
+    found = load_failed(tmp_path)
+    assert list(found) == [("train", "s00000003"), ("test", "s00000005")]
+    assert vars(found["test", "s00000005"]) == {"reason": "SystemExit: 0", "attempts": 3, "traceback": "Traceback"}
+    (tmp_path / "failed.jsonl").write_text(
+        '{"id":"s00000003","split":"train","reason":"bad","attempts":"3","traceback":""}\n'
+    )
+    with pytest.raises(InputError, match=r"failed\.jsonl:1: "):
+        load_failed(tmp_path)

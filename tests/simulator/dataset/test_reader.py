@@ -21,7 +21,7 @@ from simulator.camera.shutter import (
     shutter_record,
 )
 from simulator.camera.slivers import split_measurement
-from simulator.dataset.reader import Dataset, open_dataset, spread_positions
+from simulator.dataset.reader import Dataset, all_metadata, open_dataset, spread_positions
 from simulator.dataset.verification import verify
 from simulator.errors import InputError
 
@@ -218,3 +218,11 @@ def test_refusals_of_clips(clips: Path, samples: ModuleType, tmp_path: Path) -> 
 )
 def test_spread_positions_are_the_middles_of_equal_parts(length: int, count: int, expected: list[int]) -> None:
     assert spread_positions(length, count) == expected
+
+
+def test_metadata_of_all_samples_or_an_even_choice(samples: ModuleType, tmp_path: Path) -> None:
+    root = samples.make_dataset(tmp_path / "set", lambda index: samples.make_sample(index, metadata={"n": index}))
+    assert [one["n"] for one in all_metadata(root)] == [0, 1, 2, 0]
+    assert [one["n"] for one in all_metadata(root, 2)] == [1, 0]
+    (root / "train/0000/s00000001/sample.json").unlink()
+    assert [one["n"] for one in all_metadata(root)] == [0, 2, 0]
