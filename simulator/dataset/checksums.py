@@ -15,20 +15,47 @@ from typing import Any
 from simulator.dataset.dataset_info import FILE
 from simulator.dataset.manifest import FAILED, MANIFEST, PROBLEMS, SKIPPED
 from simulator.errors import InputError
-from simulator.io.files import read_text, sha256_bytes, sha256_file, storage_errors, sync_folder, write_atomic
+from simulator.io.files import (
+    MAX_LINES_BYTES,
+    read_errors,
+    read_text,
+    sha256_bytes,
+    sha256_file,
+    storage_errors,
+    sync_folder,
+    write_atomic,
+)
 from simulator.io.json import canonical_json, readable_json
 from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, is_stack_file
 
 CHECKSUMS = "checksums.json"
 CONTACT_SHEET = "contact_sheet.png"
+CROISSANT = "croissant.json"
+CARD = "README.md"
+OUR_CARD = "<!-- flatlight card: generate writes this file anew; without this line it is yours -->"
+"""The last line of a card that Flatlight wrote."""
 _STACKS = (PSF_FOLDER, CAPTURED_FOLDER)
 
 
 def files_to_seal(root: Path) -> list[str]:
     """Return the names, below ``root``, of the files there that no sample's digest covers, but the seal itself."""
-    names = [name for name in (FILE, MANIFEST, SKIPPED, FAILED, PROBLEMS, CONTACT_SHEET) if (root / name).exists()]
+    known = (FILE, MANIFEST, SKIPPED, FAILED, PROBLEMS, CONTACT_SHEET, CROISSANT)
+    names = [name for name in known if (root / name).exists()] + [CARD] * is_our_card(root / CARD)
     stacks = [path for folder in _STACKS for path in sorted((root / folder).glob("*")) if is_stack_file(path)]
     return names + [path.relative_to(root).as_posix() for path in stacks]
+
+
+def is_our_card(path: Path) -> bool:
+    """Whether a file is a card that Flatlight wrote, and may write anew: one of the user's is neither sealed nor replaced.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    if not path.is_file():
+        return False
+    with read_errors(path), path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - len(OUR_CARD) - 8))
+        return file.read().rstrip().rpartition(b"\n")[2] == OUR_CARD.encode()
 
 
 def write_seal(root: Path) -> None:
@@ -80,7 +107,9 @@ def changed_files(root: Path, hashes: Mapping[str, str]) -> Iterator[InputError]
             gone.add(missing)
             continue
         try:
-            changed = sha256_file(path) != expected
+            with read_errors(path):
+                large = path.stat().st_size > MAX_LINES_BYTES
+            changed = large or sha256_file(path) != expected
         except InputError as error:
             yield error
             continue

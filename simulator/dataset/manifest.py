@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, TypeVar
 from simulator.dataset.sample import SPLITS, SampleRecord, sample_id, sample_index
 from simulator.errors import InputError
 from simulator.io.files import AppendedLines, line_of, read_lines, write_atomic
+from simulator.io.json import parse_json
 
 MANIFEST = "manifest.jsonl"
 Key = tuple[str, str]  # split and id
@@ -57,7 +57,7 @@ def load_manifest(root: Path | str) -> Manifest:
 
 def _entry(content: dict[str, Any]) -> Entry | None:
     entry = Entry(**content)
-    typed = isinstance(entry.seed, int) and isinstance(entry.label, str | None)
+    typed = isinstance(entry.seed, int) and isinstance(entry.label, str | None) and isinstance(entry.digest, str)
     return entry if typed and len(entry.digest) == 64 and isinstance(entry.seconds, int | float) else None
 
 
@@ -68,10 +68,10 @@ def _by_sample(
     found: dict[Key, Result] = {}
     for number, line in enumerate(lines, start=1):
         try:
-            content = json.loads(line)
+            content = parse_json(line)
             value, key = read(content), (content["split"], content["id"])
             valid = value is not None and key[0] in SPLITS and sample_index(key[1]) >= 0
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        except (ValueError, TypeError, KeyError, AttributeError):
             value, key, valid = None, ("", ""), False
         if value is None or not valid:
             raise InputError(f"{path}:{number}", f"expected {expected}")

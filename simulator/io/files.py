@@ -9,6 +9,7 @@ import json
 import os
 import secrets
 import shutil
+import stat
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -173,6 +174,34 @@ def committed_folder(folder: Path) -> Iterator[Path]:
             raise
 
 
+@contextmanager
+def committed_file(path: Path) -> Iterator[Path]:
+    """Give a temporary name to write to; at the end of the block that file becomes ``path`` in one rename.
+
+    For writers that want a file of their own, such as HDF5's; what is in memory goes through `write_atomic`. When the block
+    raises, the temporary file is removed and ``path`` stays as it was. Folders above it are made.
+
+    Raises:
+        StorageError: the place cannot be written to.
+    """
+    temporary = temporary_path(path)
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            yield temporary
+            descriptor = os.open(temporary, os.O_RDONLY)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+            os.replace(temporary, path)
+            sync_folder(path.parent)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink()
+            raise
+
+
 def _replace_folder(temporary: Path, folder: Path) -> None:
     if not folder.exists():
         os.rename(temporary, folder)
@@ -208,6 +237,23 @@ def leftovers(root: Path) -> Iterator[Path]:
         folders[:] = [name for name in folders if not name.startswith(TEMPORARY_PREFIX)]
 
 
+def not_plain(root: Path) -> Iterator[Path]:
+    """Yield everything below ``root`` that is neither a file nor a folder: links, pipes, sockets, devices; follows none.
+
+    Raises:
+        InputError: a folder cannot be read.
+    """
+    folders = [root]
+    while folders:
+        folder = folders.pop()
+        with read_errors(folder), os.scandir(folder) as entries:
+            for entry in sorted(entries, key=lambda entry: entry.name):
+                if entry.is_dir(follow_symlinks=False):
+                    folders.append(Path(entry.path))
+                elif not entry.is_file(follow_symlinks=False):
+                    yield Path(entry.path)
+
+
 def sha256_bytes(data: bytes) -> str:
     """Return the SHA-256 of some bytes in hexadecimal."""
     return hashlib.sha256(data).hexdigest()
@@ -224,6 +270,24 @@ def sha256_file(path: Path) -> str:
 
 
 MAX_BYTES = 16 << 20
+
+
+def read_limited(path: Path, holds: str, max_bytes: int = MAX_BYTES) -> bytes:
+    """Return the content of a file that somebody else may have made: nothing larger is read, and no pipe is waited for.
+
+    ``holds``, ``max_bytes``: as `read_text`.
+
+    Raises:
+        InputError: when it cannot be read, is not a file or too large.
+    """
+    with read_errors(path):
+        status = os.stat(path)
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError(path, f"not a file, expected {holds}")
+        if status.st_size > max_bytes:
+            raise InputError(path, f"larger than {max_bytes >> 10} KiB, expected {holds}; restore it from a copy")
+        with path.open("rb") as file:
+            return file.read(status.st_size + 1)
 
 
 def read_text(path: Path, holds: str, max_bytes: int = MAX_BYTES) -> str:
@@ -312,18 +376,19 @@ def line_of(content: Mapping[str, Any]) -> bytes:
     return json.dumps(content, separators=(",", ":")).encode() + b"\n"
 
 
+MAX_LINES_BYTES = 4 << 30
+"""Of a file of lines: twenty million samples."""
+
+
 def read_lines(path: Path) -> tuple[list[bytes], bool]:
     """Return the whole lines of such a file and whether a torn one follows them; a missing file has none.
 
     Raises:
-        InputError: the file cannot be read.
+        InputError: the file cannot be read, or is larger than any list of samples.
     """
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
+    if not os.path.lexists(path):
         return [], False
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
+    data = read_limited(path, "lines of JSON", MAX_LINES_BYTES)
     *lines, rest = data.split(b"\n")
     return lines, bool(rest)
 
