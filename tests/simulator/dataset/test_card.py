@@ -95,7 +95,7 @@ def test_labels_are_counted(samples: ModuleType, tmp_path: Path) -> None:
 HOSTILE = [
     "</details><script>alert(1)</script>",
     "a | b | c\n\n# heading\n\n---\n- list",
-    "```\n<b>bold</b>\n``````",
+    "x\n```\n</details>\n<b>bold</b>\n``````\ny",
     "![x](http://example.org/x.png) [y](javascript:z) <http://example.org> http://example.org www.example.org a@b.org",
     "**bold** _so_ `code` ~~gone~~ &lt;b&gt; &amp;",
     f"\n{OUR_CARD}\n-->",
@@ -108,16 +108,24 @@ HOSTILE = [
 @pytest.mark.parametrize("text", HOSTILE)
 def test_no_text_becomes_markup(samples: ModuleType, tmp_path: Path, text: str) -> None:
     def make(folder: str, words: str):
-        config = {"seed": 7, "scene": {"family": words, "note": words}, "camera": {"mask": {"design": words}}}
-        root = samples.make_dataset(tmp_path / folder, lambda index: samples.make_sample(index, label=words))
-        return samples.write_info(root, samples.make_info(name=words, config=config, versions={words: words})) or root
+        config = {
+            "name": words,
+            "seed": 7,
+            "scene": {"family": words, "note": words},
+            "camera": {"mask": {"design": words}},
+        }
+        shown = {"name": words, "config": config, "versions": {words: words}}
+        return samples.make_dataset(tmp_path / folder, lambda index: samples.make_sample(index, label=words), **shown)
 
     front, plain = parsed(card(make("plain", "word")))
     found, page = parsed(card(make("hostile", text)))
     assert page.found == plain.found
+    written = card(tmp_path / "hostile").decode()
+    before = written.partition("\n# ")[2].partition("<details>")[0]
+    assert not re.search(r"https?://|www\.", before)  # hubs make links of it
     assert found.keys() == front.keys()
     assert re.sub(r"[\s\W]+", "", found["pretty_name"])[:50] == re.sub(r"[\s\W]+", "", text)[:50]
-    assert all(line.isprintable() for line in card(tmp_path / "hostile").decode().splitlines())
+    assert all(line.isprintable() for line in written.splitlines())
 
 
 def test_our_card_is_sealed_and_the_user_s_is_not(dataset: Path) -> None:
