@@ -145,6 +145,15 @@ def test_a_data_set_that_is_not_as_it_was_sealed(dataset: Path, tmp_path: Path) 
         export(dataset, "npz", tmp_path / "out", partial=True)
 
 
+def test_a_stack_that_changes_meanwhile(dataset: Path, tmp_path: Path) -> None:
+    def change(done: int, total: int) -> None:
+        (dataset / "psf/depth_0001.exr").write_bytes(b"changed")
+
+    with pytest.raises(InputError, match=r"psf/depth_0001\.exr: has changed"):
+        export(dataset, "npz", tmp_path / "out", progress=change)
+    assert not (tmp_path / "out/croissant.json").exists()
+
+
 def test_a_folder_that_holds_something_else(dataset: Path, tmp_path: Path, samples: ModuleType) -> None:
     out = tmp_path / "out"
     out.mkdir()
