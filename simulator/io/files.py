@@ -78,7 +78,7 @@ def storage_errors(path: Path) -> Iterator[None]:
     except OSError as error:
         kept = "Nothing already written is lost; run the same command again to resume where it stopped"
         if error.errno in _FULL:
-            cure = f"Free space (or choose another dataset.output). {kept}."
+            cure = f"Free space, or choose another folder. {kept}."
             reason = f"{_FULL[error.errno]}. {cure}"
         elif error.errno == errno.ENOENT:
             reason = "its folder does not exist. Make it first, or choose another place."
@@ -332,7 +332,7 @@ class AppendedLines:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             os.close(self._descriptor)
-            raise InputError(path.parent, "another process is writing; wait, or change dataset.output") from error
+            raise InputError(path.parent, "another process is writing; wait, or choose another folder") from error
         except OSError:
             pass  # a file system without locks
         with storage_errors(path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -16,6 +17,7 @@ from simulator.dataset.exports.source import Source, arrays
 from simulator.dataset.sample import DESCRIPTION
 from simulator.dataset.verification import CheckedSample
 from simulator.errors import InputError
+from simulator.io.files import write_all
 
 _VERSIONS = ("earliest", "v110")  # of the file format; newer forms of its groups store the time
 _PER_FRAME = ("rgb", "depth_m", "valid", "global_measurements")  # a chunk holds one of their frames
@@ -64,7 +66,7 @@ def _open(
     import h5py
 
     texts: dict[str, list[str]] = {"id": [], "label": [], "sample_json": []}
-    with h5py.File(path, "w", libver=_VERSIONS) as file:
+    with _Written(path, "x+") as stream, h5py.File(stream, "w", libver=_VERSIONS) as file:
 
         def add(sample: CheckedSample) -> None:
             assert sample.sample is not None
@@ -78,12 +80,45 @@ def _open(
             texts["id"].append(sample.description["id"])
             texts["label"].append(sample.sample.label or "")
             texts["sample_json"].append(sample.files[DESCRIPTION].decode())
+            stream.check()
 
         yield add
         for name, lines in (texts | {"channels": source.info.channels}).items():
             encoded = [line.encode() for line in lines]
             kind = h5py.string_dtype("utf-8", max(1, *map(len, encoded)))
             file.create_dataset(name, data=np.array(encoded, kind), track_times=False, **_COMPRESSED)
+
+
+class _Written(io.FileIO):
+    """A file that takes whatever comes after its first error for done: HDF5 crashes where it cannot write what it closes."""
+
+    error: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """Write all of the data, as HDF5 expects."""
+        self._try(lambda: write_all(self.fileno(), data))
+        return len(data)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the file's size."""
+        self._try(lambda: super(_Written, self).truncate(size))
+        return size or 0
+
+    def check(self) -> None:
+        """Raise the first error."""
+        if self.error is not None:
+            raise self.error
+
+    def _try(self, change: Callable[[], object]) -> None:
+        try:
+            if self.error is None:
+                change()
+        except OSError as error:
+            self.error = error
+
+    def __exit__(self, *raised: Any) -> None:
+        super().__exit__(*raised)
+        self.check()
 
 
 _COMPRESSED: dict[str, Any] = {"compression": "gzip", "compression_opts": 4, "shuffle": True}

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -211,6 +212,21 @@ def test_a_full_disk_keeps_what_is_finished(
             export(dataset, "npz", tmp_path / "out")
     assert [name for name in hashes(tmp_path / "out") if name.endswith(".npz")] == ["train/0000/s00000000.npz"]
     assert export(dataset, "npz", tmp_path / "out").kept == 1
+
+
+@pytest.mark.parametrize("kilobytes", [2, 12, 60])
+def test_hdf5_ends_well_on_a_disk_that_fills_up_anywhere(
+    command: Callable[..., subprocess.CompletedProcess[str]], dataset: Path, tmp_path: Path, kilobytes: int
+) -> None:
+    """In a process of its own, since the library used to crash when it closes what it cannot write."""
+    limit = (
+        "import resource, sys\nsys.dont_write_bytecode = True  # or a compiled module would be cut short, and stay so\n"
+    )
+    limit += f"resource.setrlimit(resource.RLIMIT_FSIZE, ({kilobytes * 1000},) * 2)"
+    done = command("export", dataset, "--to", "hdf5", "--output", tmp_path / "out", before=limit)
+    assert done.returncode == 2, done.stderr
+    assert "train-000000.h5: cannot be written: " in done.stderr
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["export.json", "index.jsonl"]
 
 
 def test_code_that_a_data_set_names_never_runs(
