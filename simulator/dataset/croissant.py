@@ -18,7 +18,7 @@ from simulator.dataset.sample import DESCRIPTION, FRAMES, GROUND_TRUTH, MEASUREM
 from simulator.io.files import sha256_file
 from simulator.io.json import readable_json
 from simulator.optics.stack_files import DESCRIPTION as STACK
-from simulator.optics.stack_files import PSF_FOLDER
+from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER
 
 Node = dict[str, Any]
 
@@ -76,9 +76,11 @@ def croissant(root: Path) -> bytes:
         "descriptions": ([DESCRIPTION], f"metadata of a sample, and the SHA-256 of its files; digest in {MANIFEST}"),
     }
     distribution = [_file(root, FILE, "configuration, exposure, sizes and versions"), _file(root, MANIFEST, "samples")]
-    if (root / PSF_FOLDER / STACK).exists():
-        distribution.append(_file(root, f"{PSF_FOLDER}/{STACK}", "the PSFs: depths, errors and SHA-256 of each"))
-        distribution.append(_files("psf", [f"{PSF_FOLDER}/*.exr"], f"a PSF per depth; SHA-256 in {PSF_FOLDER}/{STACK}"))
+    for folder, what in ((PSF_FOLDER, "as used"), (CAPTURED_FOLDER, "as a calibration measures them")):
+        name = f"{folder}/{STACK}"
+        if (root / name).exists():
+            distribution.append(_file(root, name, f"the PSFs {what}: depths, errors and SHA-256 of each"))
+            distribution.append(_files(folder, [f"{folder}/*.exr"], f"a PSF per depth; SHA-256 in {name}"))
     for name, (files, text) in kinds.items():
         distribution.append(_files(name, [f"{split}/*/*/{file}" for split in splits for file in files], text))
     types = {"id": "string", "split": "string", "digest": "string", "seed": "int64", "label": "string"}
