@@ -17,8 +17,8 @@ from simulator.dataset.manifest import MANIFEST, load_manifest
 from simulator.dataset.sample import DESCRIPTION, FRAMES, GROUND_TRUTH, MEASUREMENT, SPLITS, SURROUNDINGS
 from simulator.io.files import sha256_file
 from simulator.io.json import readable_json
-from simulator.optics.stack_files import DESCRIPTION as STACK
 from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER
+from simulator.optics.stack_files import DESCRIPTION as STACK
 
 Node = dict[str, Any]
 
