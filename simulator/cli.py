@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from simulator import __version__
-from simulator.commands import compare, datasets, importing, masks, psf, render, reporting, scenes, shutter
+from simulator.commands import compare, datasets, exporting, importing, masks, psf, render, reporting, scenes, shutter
 from simulator.errors import InputError
 from simulator.text import described, show
 
@@ -61,6 +61,7 @@ _OWN = (
     scenes.scenes,
     masks.materials,
     datasets.verify,
+    exporting.export,
     reporting.report,
     schema,
     doctor,

@@ -64,7 +64,8 @@ def measured_depths_m(config: Config, chosen: MeasuredPsf | StoredPsf) -> tuple[
 def measured_files(config: Config, chosen: MeasuredPsf | StoredPsf) -> list[Path]:
     """Return the files whose contents decide the stack."""
     if isinstance(chosen, StoredPsf):
-        return stack_files(_folder(config, chosen))
+        folder = _folder(config, chosen)
+        return [folder / name for name in stack_files(folder)]
     background = _background(config, chosen)
     return _pictures(config, chosen) + ([background] if isinstance(background, Path) else [])
 

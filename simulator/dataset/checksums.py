@@ -16,23 +16,48 @@ from simulator.dataset.dataset_info import FILE
 from simulator.dataset.manifest import FAILED, MANIFEST, SKIPPED, ManifestWriter
 from simulator.dataset.problems import PROBLEMS
 from simulator.errors import InputError
-from simulator.io.files import read_text, remove_file, sha256_bytes, sha256_file, write_atomic
+from simulator.io.files import (
+    read_errors,
+    read_text,
+    remove_file,
+    sha256_bytes,
+    sha256_file,
+    write_atomic,
+)
 from simulator.io.json import canonical_json, readable_json
-from simulator.io.store import Place, relative_name
+from simulator.io.store import Place, relative_name, size_of
 from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, is_stack_file
 
 CHECKSUMS = "checksums.json"
 CONTACT_SHEET = "contact_sheet.png"
 REPORT = "report.html"
+CROISSANT = "croissant.json"
+CARD = "README.md"
+OUR_CARD = "<!-- flatlight card: generate writes this file anew; without this line it is yours -->"
+"""The last line of a card that Flatlight wrote."""
+_LARGEST = 4 << 30  # bytes, of a list of twenty million samples: more is not hashed
 _STACKS = (PSF_FOLDER, CAPTURED_FOLDER)
 
 
 def files_to_seal(root: Place) -> list[str]:
     """Return the names, below ``root``, of the files there that no sample's digest covers, but the seal itself."""
-    listed = (FILE, MANIFEST, SKIPPED, FAILED, PROBLEMS, CONTACT_SHEET, REPORT)
-    names = [name for name in listed if (root / name).exists()]
+    listed = (FILE, MANIFEST, SKIPPED, FAILED, PROBLEMS, CONTACT_SHEET, REPORT, CROISSANT)
+    names = [name for name in listed if (root / name).exists()] + [CARD] * is_our_card(root / CARD)
     stacks = [path for folder in _STACKS for path in sorted((root / folder).glob("*")) if is_stack_file(path.name)]
     return names + [relative_name(path, root) for path in stacks]
+
+
+def is_our_card(path: Place) -> bool:
+    """Whether a file is a card that Flatlight wrote, and may write anew: one of the user's is neither sealed nor replaced.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    if not path.is_file():
+        return False
+    with read_errors(path), path.open("rb") as file:
+        file.seek(max(0, size_of(path) - len(OUR_CARD) - 8))
+        return file.read().rstrip().rpartition(b"\n")[2] == OUR_CARD.encode()
 
 
 def write_seal(root: Place) -> None:
@@ -102,7 +127,9 @@ def changed_files(root: Place, hashes: Mapping[str, str]) -> Iterator[InputError
             gone.add(missing)
             continue
         try:
-            changed = sha256_file(path) != expected
+            with read_errors(path):
+                large = size_of(path) > _LARGEST
+            changed = large or sha256_file(path) != expected
         except InputError as error:
             yield error
             continue

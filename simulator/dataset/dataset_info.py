@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields
@@ -16,8 +15,8 @@ from simulator.dataset.fingerprint import deciding, difference, hash_parts
 from simulator.dataset.sample import SPLITS
 from simulator.errors import InputError
 from simulator.io.exr import MAX_VALUES
-from simulator.io.files import write_atomic
-from simulator.io.json import plain, readable_json
+from simulator.io.files import read_limited, write_atomic
+from simulator.io.json import parse_json, plain, readable_json
 from simulator.io.store import Place, place
 from simulator.settings import fields_from
 from simulator.text import show
@@ -148,9 +147,10 @@ def read_info(root: Place | str) -> DatasetInfo:
         raise InputError(root, "no such folder; give the folder that `flatlight generate` wrote (dataset.output)")
     if not path.is_file():
         raise InputError(root, f"not a data set: it has no {FILE}; give the folder that `flatlight generate` wrote")
+    data = read_limited(path, "the description of a data set")
     try:
-        content = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError) as error:
+        content = parse_json(data)
+    except ValueError as error:
         raise InputError(path, f"unreadable or damaged ({error}); restore it from a copy") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise InputError(path, f"does not describe a data set of ours: its format must be {FORMAT!r}")

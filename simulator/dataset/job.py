@@ -12,7 +12,9 @@ import numpy as np
 
 from simulator.camera.exposure import ExposureShares
 from simulator.config import Config, load_config
+from simulator.dataset.card import write_card
 from simulator.dataset.checksums import unseal, write_seal
+from simulator.dataset.croissant import write_croissant
 from simulator.dataset.dataset_info import DatasetInfo
 from simulator.dataset.manifest import (
     FAILED,
@@ -208,6 +210,8 @@ class _Job:
         if self.made:
             self._sum_up(info.exposure)
         merge_lists(root)
+        write_card(root)
+        write_croissant(root)
         if self.made + self.kept:
             self.finish(root)
         write_seal(root)

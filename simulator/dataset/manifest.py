@@ -127,7 +127,7 @@ def load_skipped(root: Place | str) -> dict[Key, str]:
     Raises:
         InputError: unreadable file, or a bad line before the last.
     """
-    found = _by_sample(place(root), SKIPPED, lambda content: isinstance(content["reason"], str), "id, split, reason")
+    found = _by_sample(place(root), SKIPPED, lambda content: _is_text(content["reason"]), "id, split, reason")
     return {key: content["reason"] for key, content in found.items()}
 
 
@@ -136,9 +136,7 @@ def load_failed(root: Place | str) -> dict[Key, FailedSample]:
     root = place(root)
 
     def is_failure(content: dict[str, Any]) -> bool:
-        return (
-            all(isinstance(content[name], str) for name in ("reason", "traceback")) and type(content["attempts"]) is int
-        )
+        return all(_is_text(content[name]) for name in ("reason", "traceback")) and type(content["attempts"]) is int
 
     found = _by_sample(root, FAILED, is_failure, "id, split, reason, attempts, traceback")
     if not found:
@@ -161,11 +159,17 @@ def _is_entry(content: dict[str, Any]) -> bool:
     return (
         content.keys() - {"stages"} == _KEYS
         and isinstance(content["seed"], int)
-        and isinstance(content["label"], str | None)
+        and (content["label"] is None or _is_text(content["label"]))
+        and isinstance(content["digest"], str)
         and len(content["digest"]) == 64
         and isinstance(content["seconds"], int | float)
         and all(isinstance(seconds, int | float) for seconds in stages)
     )
+
+
+def _is_text(value: object) -> bool:
+    """Whether a value is text; half a surrogate pair, which nothing could print, is refused by a ``ValueError``."""
+    return isinstance(value, str) and value.encode() is not None
 
 
 def _by_sample(

@@ -7,7 +7,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from simulator.dataset.card import write_card
 from simulator.dataset.checksums import unseal, write_seal
+from simulator.dataset.croissant import write_croissant
 from simulator.dataset.dataset_info import DatasetInfo, check_shutter, read_info, write_info
 from simulator.dataset.fingerprint import difference
 from simulator.dataset.manifest import (
@@ -84,6 +86,8 @@ def merge(
         result = _take_samples(root, folders, merged, manifest, progress or (lambda done, total: None))
     with _sole(root):
         merge_lists(root)
+        write_card(root)
+        write_croissant(root)
         if finish is not None and result.taken + result.there:
             finish(root)
         write_seal(root)

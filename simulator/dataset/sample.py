@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -14,9 +13,9 @@ from numpy.typing import NDArray
 
 from simulator.errors import InputError
 from simulator.io.clips import TRUTH, describe_extras, frame_channels, frame_extras, layout_channels
-from simulator.io.exr import decode_exr, write_exr
-from simulator.io.files import committed_folder, read_errors, sha256_bytes, write_atomic
-from simulator.io.json import are_names, check_keys, plain, readable_json
+from simulator.io.exr import MAX_FILE_BYTES, decode_exr, write_exr
+from simulator.io.files import committed_folder, read_limited, sha256_bytes, write_atomic
+from simulator.io.json import are_names, check_keys, parse_json, plain, readable_json
 from simulator.io.store import Place, place
 from simulator.types import Clip, Surroundings
 
@@ -77,12 +76,11 @@ def read_description(folder: Place) -> tuple[dict[str, Any], bytes]:
     """
     path = folder / DESCRIPTION
     cure = "make the sample again or restore it from a copy"
-    with read_errors(path):
-        data = path.read_bytes()
+    data = read_limited(path, "the description of a sample")
     try:
-        description = json.loads(data)
+        description = parse_json(data)
         layout_channels(description.get("extras", {}) if isinstance(description, dict) else {})
-    except (ValueError, TypeError, RecursionError) as error:
+    except (ValueError, TypeError) as error:
         raise InputError(path, f"not a sample description ({str(error)[:200]}); {cure}") from error
     check_keys(path, description, dict.fromkeys(sorted(_FIELDS), lambda _: True), cure)
     frames, measured = description.get("frames", 1), description.get("global_measurements", False)
@@ -97,7 +95,10 @@ def read_description(folder: Place) -> tuple[dict[str, Any], bytes]:
         "surroundings": lambda around: (
             around is None or (beside in (1, frames) and _is_count(around.get("coarseness")))
         ),
-        "files": lambda files: set(files) == set(file_names(frames, measured, beside)),
+        "files": lambda files: (
+            set(files) == set(file_names(frames, measured, beside))
+            and all(isinstance(digest, str) for digest in files.values())
+        ),
     }
     optional = {"frames": frames, "global_measurements": measured, "frame_edges_s": None, "surroundings": None}
     check_keys(path, optional | description, checks, cure)
@@ -507,8 +508,7 @@ class StoredSample:
 
     def _read(self, name: str, frame: int | None, expected: list[str]) -> dict[str, NDArray[np.float32]]:
         path = self.folder / name
-        with read_errors(path):
-            data = path.read_bytes() if self._files is None else self._files[name]
+        data = read_limited(path, "an OpenEXR file", MAX_FILE_BYTES) if self._files is None else self._files[name]
         planes, metadata = decode_exr(data, path, require_checksums=True)
         wanted = file_metadata(self.description, frame)
         if metadata != wanted:

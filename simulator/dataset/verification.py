@@ -7,13 +7,22 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from simulator.camera.shutter import Shutter
-from simulator.dataset.checksums import CHECKSUMS, changed_files, files_to_seal, read_seal, write_seal
+from simulator.dataset.checksums import (
+    CARD,
+    CHECKSUMS,
+    changed_files,
+    files_to_seal,
+    is_our_card,
+    read_seal,
+    write_seal,
+)
 from simulator.dataset.dataset_info import FILE, DatasetInfo, check_fingerprint, check_shutter, read_info
 from simulator.dataset.engines import run
 from simulator.dataset.manifest import (
@@ -29,6 +38,7 @@ from simulator.dataset.manifest import (
 from simulator.dataset.sample import (
     DESCRIPTION,
     SPLITS,
+    Sample,
     StoredSample,
     digest_of,
     read_description,
@@ -36,7 +46,8 @@ from simulator.dataset.sample import (
     sample_index,
 )
 from simulator.errors import InputError
-from simulator.io.files import TEMPORARY_PREFIX, read_errors, sha256_bytes
+from simulator.io.exr import MAX_FILE_BYTES
+from simulator.io.files import TEMPORARY_PREFIX, not_plain, read_errors, read_limited, sha256_bytes
 from simulator.io.store import Place, place, relative_name
 from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, read_psf_stack
 
@@ -99,6 +110,8 @@ def verify(
     root = place(path)
     if not root.is_dir():
         raise InputError(root, "no such folder; give the folder that `flatlight generate` wrote (dataset.output)")
+    if outside := check_plain(root):
+        return Report(tuple(outside), {}, {})
     problems: list[str] = []
     try:
         info = read_info(root)
@@ -113,10 +126,10 @@ def verify(
         skipped.update(split for split, name in load_skipped(root) if (split, name) not in manifest.entries)
     except InputError as error:
         problems.append(str(error))
-    hashes, faults = _check_seal(root)
+    hashes, faults = check_seal(root)
     sealed, faulty = hashes is not None, {error.path for error in faults}
     problems += [str(error) for error in faults]
-    problems += _check_lists(info, manifest, skipped)
+    problems += check_lists(info, manifest, skipped)
     strays, notes = _check_places(root, manifest, hashes)
     problems += strays
     problems += check_fingerprint(info)
@@ -144,61 +157,112 @@ def verify(
         with ManifestWriter(root):  # its lock: no job is writing
             write_seal(root)
     elif not sealed:
-        problems.insert(0, _UNSEALED)
+        problems.insert(0, UNSEALED)
     return Report(tuple(problems), counts, info.counts, dict(skipped), notes, frozenset(bad))
 
 
-_UNSEALED = (
+UNSEALED = (
     f"{CHECKSUMS}: missing, so nothing shows that {FILE} and {PSF_FOLDER} are as they were written. Either the run has not "
     "come to its end: the same `flatlight generate` finishes and seals it. Or the version that made it wrote none: where you "
     "know the data set to be whole, `flatlight verify --seal` writes it"
 )
 
 
-def _check_seal(root: Place) -> tuple[dict[str, str] | None, list[InputError]]:
+def check_plain(root: Place) -> list[str]:
+    """Return a line for everything in a data set through which something outside would be read, or waited for."""
+    return [
+        f"{relative_name(path, root)}: {'a link' if path.is_symlink() else 'not a file'}; nothing of the data set "
+        "was read: its files lie in its own folder. Put a copy of the file there (cp -rL follows links), or remove it"
+        for path in not_plain(root)
+    ]
+
+
+def check_seal(root: Place) -> tuple[dict[str, str] | None, list[InputError]]:
     """Return the sealed hashes, None where there is no seal, and what is not as it was sealed."""
     try:
         hashes = read_seal(root)
     except InputError as error:
         return {}, [error]
+    if hashes and CARD in hashes and (root / CARD).exists() and not is_our_card(root / CARD):
+        del hashes[CARD]  # the user's by now
     return hashes, list(changed_files(root, hashes or {}))
+
+
+@dataclass(frozen=True)
+class CheckedSample:
+    """A sample as it was read, once, and what is wrong with it.
+
+    Attributes:
+        problems: one line per fault, none when it is intact.
+        description: the content of ``sample.json``; empty where it cannot be read.
+        files: the bytes of its files by name, ``sample.json`` included.
+        sample: what they hold; None where that cannot be read.
+    """
+
+    problems: tuple[str, ...]
+    description: dict[str, Any] = field(default_factory=dict)
+    files: dict[str, bytes] = field(default_factory=dict)
+    sample: Sample | None = None
 
 
 def check_sample(
     root: Place, info: DatasetInfo, shutter: Shutter | None, psf_fingerprint: str, entry: Entry
 ) -> list[str]:
     """Check one sample against its manifest line; return its faults, none when it is intact."""
+    return list(checked_sample(root, info, shutter, psf_fingerprint, entry).problems)
+
+
+def checked_description(root: Place, entry: Entry) -> CheckedSample:
+    """Read a sample's ``sample.json`` only, and hold it and the hashes that it lists against the sample's manifest line."""
     folder = sample_folder(root, entry.split, sample_index(entry.id))
     where = f"{entry.split}/{entry.id}"
     if not folder.is_dir():
-        return [f"{where}: in {MANIFEST} but not on disk; run generate again after deleting its line"]
+        return CheckedSample((f"{where}: in {MANIFEST} but not on disk; run generate again after deleting its line",))
     try:
         description, data = read_description(folder)
     except InputError as error:
-        return [f"{where}: {error}"]
-    problems = [f"{where}: unexpected file {name}" for name in _unexpected(folder, description["files"])]
-    files: dict[str, bytes] = {}
-    hashes = {DESCRIPTION: sha256_bytes(data)}
-    for name, expected in description["files"].items():
-        try:
-            files[name] = (folder / name).read_bytes()
-        except OSError as error:
-            problems.append(f"{where}: {name} cannot be read: {error.strerror or error}")
-            continue
-        hashes[name] = sha256_bytes(files[name])
-        if hashes[name] != expected:
-            problems.append(f"{where}: {name} has other content than {DESCRIPTION} says (SHA-256 differs)")
-    if len(files) < len(description["files"]):
-        return problems
-    if digest_of(hashes) != entry.digest:
+        return CheckedSample((f"{where}: {error}",))
+    problems = []
+    if digest_of(description["files"] | {DESCRIPTION: sha256_bytes(data)}) != entry.digest:
         problems.append(f"{where}: its digest differs from the one in {MANIFEST}")
     identity = (description["id"], description["split"], description["seed"], description["label"])
     if identity != (entry.id, entry.split, entry.seed, entry.label):
         problems.append(f"{where}: {DESCRIPTION} speaks of another sample: {identity}")
+    return CheckedSample(tuple(problems), description, {DESCRIPTION: data})
+
+
+def checked_sample(
+    root: Place, info: DatasetInfo, shutter: Shutter | None, psf_fingerprint: str, entry: Entry
+) -> CheckedSample:
+    """Read one sample, every file once, and check it against its manifest line and the data set."""
+    described = checked_description(root, entry)
+    description, files = described.description, dict(described.files)
+    if not description:
+        return described
+    folder = sample_folder(root, entry.split, sample_index(entry.id))
+    where = f"{entry.split}/{entry.id}"
+    problems = [f"{where}: unexpected file {name}" for name in _unexpected(folder, description["files"])]
+    for name, expected in description["files"].items():
+        try:
+            files[name] = read_limited(folder / name, "an OpenEXR file", MAX_FILE_BYTES)
+        except InputError as error:
+            problems.append(f"{where}: {name} {error.reason}")
+            continue
+        if sha256_bytes(files[name]) != expected:
+            problems.append(f"{where}: {name} has other content than {DESCRIPTION} says (SHA-256 differs)")
+    problems += described.problems
+    if len(files) <= len(description["files"]):
+        return CheckedSample(tuple(problems), description, files)
     try:
         sample = StoredSample(folder, description, files).sample()
     except InputError as error:
-        return [*problems, f"{where}: {error}"]
+        return CheckedSample((*problems, f"{where}: {error}"), description, files)
+    problems += [f"{where}: {line}" for line in _not_as_promised(sample, info, shutter, psf_fingerprint)]
+    return CheckedSample(tuple(problems), description, files, sample)
+
+
+def _not_as_promised(sample: Sample, info: DatasetInfo, shutter: Shutter | None, psf_fingerprint: str) -> Iterator[str]:
+    """Yield a line for everything in which a sample is not what the data set promises of all."""
     sizes = {
         "measurement": (sample.measurement.shape[1:], info.sensor_shape),
         "ground truth": (sample.rgb.shape[1:3], info.scene_shape),
@@ -206,18 +270,17 @@ def check_sample(
     }
     for name, (found, promised) in sizes.items():
         if found != promised:
-            problems.append(f"{where}: {name} is {found}, dataset.json says {promised}")
+            yield f"{name} is {found}, dataset.json says {promised}"
     if shutter is not None and sample.frame_edges_s is not None:
         try:
             shutter.weights(info.sensor_shape[0], sample.frame_edges_s)
         except InputError as error:
-            problems.append(f"{where}: its frames do not cover the shutter: {error.reason.split(';')[0]}")
+            yield f"its frames do not cover the shutter: {error.reason.split(';')[0]}"
     made_with = {"full_scale": info.exposure.get("full_scale"), "psf": psf_fingerprint or None}
     for name, promised in made_with.items():
         found = sample.metadata.get(name, promised)
         if promised is not None and found != promised:
-            problems.append(f"{where}: it was made with {name} = {found}, the data set says {promised}")
-    return problems
+            yield f"it was made with {name} = {found}, the data set says {promised}"
 
 
 def _unexpected(folder: Place, files: Iterable[str]) -> list[str]:
@@ -241,7 +304,8 @@ def _check_captured(root: Place, info: DatasetInfo, psf_fingerprint: str, faulty
     return []
 
 
-def _check_lists(info: DatasetInfo, manifest: Manifest, skipped: Mapping[str, int]) -> list[str]:
+def check_lists(info: DatasetInfo, manifest: Manifest, skipped: Mapping[str, int]) -> list[str]:
+    """Return a line for each way in which the lists of finished and skipped samples are not what ``dataset.json`` wants."""
     problems = []
     if manifest.torn:
         problems.append(f"{MANIFEST}: the last line is torn; the next generate cuts it and makes that sample again")

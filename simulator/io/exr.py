@@ -55,6 +55,8 @@ ATTRIBUTE = "flatlight"
 """Name of the string attribute that carries metadata and checksums."""
 MAX_VALUES = 2**28
 """Rows x columns x channels that are decoded at most by default: 1 GiB of float32."""
+MAX_FILE_BYTES = 4 * MAX_VALUES + (64 << 20)
+"""Of a file that is read from a data set: as many values, not compressed, and its header."""
 _MAX_NAME_BYTES = 255  # of the format
 
 

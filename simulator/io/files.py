@@ -7,6 +7,7 @@ import hashlib
 import os
 import secrets
 import shutil
+import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -14,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from simulator.errors import InputError
-from simulator.io.store import Place, StorePath
+from simulator.io.store import Place, StorePath, size_of
 from simulator.text import show
 
 TEMPORARY_PREFIX = ".tmp-"
@@ -76,7 +77,7 @@ def storage_errors(path: Place) -> Iterator[None]:
     except OSError as error:
         kept = "Nothing already written is lost; run the same command again to resume where it stopped"
         if error.errno in _FULL:
-            cure = f"Free space (or choose another dataset.output). {kept}."
+            cure = f"Free space, or choose another folder. {kept}."
             reason = f"{_FULL[error.errno]}. {cure}"
         elif error.errno == errno.ENOENT:
             reason = "its folder (or bucket) does not exist. Make it first, or choose another place."
@@ -209,6 +210,34 @@ def _upload(made: Path, folder: StorePath, last: str) -> None:
             )
 
 
+@contextmanager
+def committed_file(path: Path) -> Iterator[Path]:
+    """Give a temporary name to write to; at the end of the block that file becomes ``path`` in one rename.
+
+    For writers that want a file of their own, such as HDF5's; what is in memory goes through `write_atomic`. When the block
+    raises, the temporary file is removed and ``path`` stays as it was. Folders above it are made.
+
+    Raises:
+        StorageError: the place cannot be written to.
+    """
+    temporary = temporary_path(path)
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            yield temporary
+            descriptor = os.open(temporary, os.O_RDONLY)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+            os.replace(temporary, path)
+            sync_folder(path.parent)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink()
+            raise
+
+
 def _replace_folder(temporary: Path, folder: Path) -> None:
     if not folder.exists():
         os.rename(temporary, folder)
@@ -265,6 +294,25 @@ def leftovers(root: Path, levels: int = 100) -> Iterator[Path]:
         folders[:] = [] if deepest else [name for name in folders if not name.startswith(TEMPORARY_PREFIX)]
 
 
+def not_plain(root: Place) -> Iterator[Path]:
+    """Yield everything below ``root`` that is neither a file nor a folder: links, pipes, sockets, devices; follows none.
+
+    Stores hold objects only.
+
+    Raises:
+        InputError: a folder cannot be read.
+    """
+    folders = [root] if isinstance(root, Path) else []
+    while folders:
+        folder = folders.pop()
+        with read_errors(folder), os.scandir(folder) as entries:
+            for entry in sorted(entries, key=lambda entry: entry.name):
+                if entry.is_dir(follow_symlinks=False):
+                    folders.append(Path(entry.path))
+                elif not entry.is_file(follow_symlinks=False):
+                    yield Path(entry.path)
+
+
 def sha256_bytes(data: bytes) -> str:
     """Return the SHA-256 of some bytes in hexadecimal."""
     return hashlib.sha256(data).hexdigest()
@@ -281,6 +329,24 @@ def sha256_file(path: Place) -> str:
 
 
 MAX_BYTES = 16 << 20
+
+
+def read_limited(path: Place, holds: str, max_bytes: int = MAX_BYTES) -> bytes:
+    """Return the content of a file that somebody else may have made: nothing larger is read, and no pipe is waited for.
+
+    ``holds``, ``max_bytes``: as `read_text`.
+
+    Raises:
+        InputError: when it cannot be read, is not a file or too large.
+    """
+    with read_errors(path):
+        size = size_of(path)
+        if isinstance(path, Path) and not stat.S_ISREG(path.stat().st_mode):
+            raise InputError(path, f"not a file, expected {holds}")
+        if size > max_bytes:
+            raise InputError(path, f"larger than {max_bytes >> 10} KiB, expected {holds}; restore it from a copy")
+        with path.open("rb") as file:
+            return file.read(size + 1)
 
 
 def read_text(path: Place, holds: str, max_bytes: int = MAX_BYTES) -> str:

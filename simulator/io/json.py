@@ -78,6 +78,33 @@ def readable_json(value: Any) -> bytes:
     return (json.dumps(plain(value), sort_keys=True, indent=1, allow_nan=False) + "\n").encode()
 
 
+_MOST_LEVELS = 100  # ours have ten
+
+
+def parse_json(data: bytes) -> Any:
+    """Return the content of JSON that somebody else may have written.
+
+    Raises:
+        ValueError: not JSON, nested so deeply that whatever walks through it would fail, or with text that has no UTF-8.
+    """
+    too_deep = f"nested deeper than {_MOST_LEVELS} levels"
+    try:
+        content = json.loads(data)
+    except RecursionError:
+        raise ValueError(too_deep) from None
+    if b"\\ud" in data.lower() or b"\xed" in data:  # the halves of surrogate pairs
+        json.dumps(content, ensure_ascii=False).encode()
+    level = [content]
+    for _ in range(_MOST_LEVELS):
+        below = (
+            value.values() if isinstance(value, dict) else value for value in level if isinstance(value, dict | list)
+        )
+        level = [item for values in below for item in values]
+        if not level:
+            return content
+    raise ValueError(too_deep)
+
+
 def check_keys(path: object, content: Any, checks: Mapping[str, Callable[[Any], object]], cure: str) -> None:
     """Refuse content of a file where a key is missing, or its value fails the check: is false, or raises.
 

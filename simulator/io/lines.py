@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -16,6 +17,7 @@ from simulator.io.files import read_errors, storage_errors, write_all
 from simulator.io.locks import take_lock
 from simulator.io.store import Place, StorePath
 
+_LONGEST = 16 << 20  # bytes of a line
 _BATCH_LINES, _BATCH_S = 1000, 30.0  # of a store: what a writer that dies has told nobody of
 
 
@@ -28,15 +30,20 @@ def read_lines(path: Place) -> Iterator[bytes]:
     """Yield the lines of such a file, each with its end; one without is torn, and the last. A missing file has none.
 
     Raises:
-        InputError: the file cannot be read.
+        InputError: the file cannot be read, or holds something else.
     """
     with read_errors(path):
         try:
+            if isinstance(path, Path) and not stat.S_ISREG(path.stat().st_mode):
+                raise InputError(path, "not a file, expected lines of JSON")  # to open a pipe would be to wait
             file = path.open("rb")
         except FileNotFoundError:
             return
         with file:
-            yield from file
+            while line := file.readline(_LONGEST):
+                if len(line) == _LONGEST:
+                    raise InputError(path, f"has a line of more than {_LONGEST >> 20} MiB, expected lines of JSON")
+                yield line
 
 
 class AppendedLines:
@@ -153,7 +160,7 @@ def open_locked(path: Path, *, shared: bool = False, wait: bool = False) -> tupl
         try:
             taken = take_lock(descriptor, shared=shared, wait=wait)
             if taken is False:
-                raise InputError(str(path.parent), "another process is writing; wait, or change dataset.output")
+                raise InputError(str(path.parent), "another process is writing; wait, or choose another folder")
             with suppress(FileNotFoundError):  # the one who held the lock has put another file in its place
                 if os.path.samestat(os.fstat(descriptor), os.stat(path)):
                     return descriptor, taken is True

@@ -128,6 +128,11 @@ class StorePath:
             return False
         return True
 
+    def size(self) -> int:
+        """Return how many bytes an object has; errors as `read_bytes`."""
+        with _os_errors():
+            return _obstore().head(self._client, str(self._path))["size"]
+
     def is_dir(self) -> bool:
         """Whether there is any object below this place."""
         return next(self._below(), None) is not None
@@ -231,6 +236,15 @@ def relative_name(path: Place, root: Place) -> str:
         return str(path.relative_to(root))
     assert isinstance(root, Path)
     return path.relative_to(root).as_posix()
+
+
+def size_of(path: Place) -> int:
+    """Return how many bytes a file has.
+
+    Raises:
+        OSError: there is none, or the store cannot be reached.
+    """
+    return path.size() if isinstance(path, StorePath) else path.stat().st_size
 
 
 def check_store(root: StorePath) -> None:

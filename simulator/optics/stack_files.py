@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -12,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.io.exr import decode_exr, write_exr
-from simulator.io.files import committed_folder, sha256_bytes, write_atomic
-from simulator.io.json import are_names, check_keys, is_positive, plain, readable_json
+from simulator.io.exr import MAX_FILE_BYTES, decode_exr, write_exr
+from simulator.io.files import committed_folder, read_limited, sha256_bytes, write_atomic
+from simulator.io.json import are_names, check_keys, is_positive, parse_json, plain, readable_json
 from simulator.io.store import Place
 from simulator.optics.stack import PsfStack
 from simulator.text import show
@@ -78,9 +77,9 @@ def read_depths_m(folder: Place) -> NDArray[np.float64]:
     return _description(folder)["depths_m"]
 
 
-def stack_files(folder: Path) -> list[Path]:
-    """Return the files of a stack on disk; errors as `read_psf_stack`."""
-    return [folder / name for name in (DESCRIPTION, *_description(folder)["files"])]
+def stack_files(folder: Place) -> list[str]:
+    """Return the names of a stack's files; errors as `read_psf_stack`."""
+    return [DESCRIPTION, *_description(folder)["files"]]
 
 
 def stack_folder(place: Path, *, captured: bool = False) -> Path:
@@ -127,13 +126,14 @@ def _description(folder: Place) -> dict[str, Any]:
     """Return the content of psf.json: the fields of a PsfStack but its values, and ``files`` with their hashes."""
     path = folder / DESCRIPTION
     cure = "delete its folder and compute the stack again"
-    try:
-        content = json.loads(path.read_bytes())
-    except FileNotFoundError as error:
+    if not path.exists():
         raise InputError(
             folder, f"not a PSF stack: it has no {DESCRIPTION}; `flatlight psf --output FOLDER` writes one"
-        ) from error
-    except (OSError, ValueError, RecursionError) as error:
+        )
+    data = read_limited(path, "the description of a PSF stack")
+    try:
+        content = parse_json(data)
+    except ValueError as error:
         raise InputError(path, f"damaged ({type(error).__name__}: {error}); {cure}") from error
     checks: dict[str, Callable[[Any], object]] = {
         "frame": lambda frame: frame == "stored",
@@ -164,11 +164,9 @@ def _metadata(depth_m: float, pixel_pitch_m: float) -> dict[str, Any]:
 def _read_planes(file: Place, digest: str, channels: tuple[str, ...], metadata: dict[str, Any]) -> NDArray[np.float32]:
     """Return the PSFs ``(C, H, W)`` of one depth."""
     try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise InputError(
-            file, f"cannot be read: {error.strerror or error}; delete {file.parent} and compute it again"
-        ) from error
+        data = read_limited(file, "an OpenEXR file", MAX_FILE_BYTES)
+    except InputError as error:
+        raise InputError(file, f"{error.reason}; delete {file.parent} and compute it again") from error
     if sha256_bytes(data) != digest:
         raise InputError(
             file, f"damaged: its hash differs from {DESCRIPTION}; delete {file.parent} and compute it again"

@@ -1,5 +1,6 @@
 """Fixtures of the simulator's tests."""
 
+import hashlib
 import subprocess
 import sys
 import textwrap
@@ -74,6 +75,26 @@ def bucket() -> Iterator[str]:
     finally:
         server.kill()
         server.wait()
+
+
+@pytest.fixture(scope="session")
+def decided() -> Callable[[Any], dict[str, str]]:
+    """Return a function: a data set to what its seed decides, the SHA-256 of its files and its manifest's entries.
+
+    Left out are the files that tell times, places and workers.
+    """
+    from simulator.dataset.manifest import load_manifest
+    from simulator.io.store import relative_name
+
+    told = ("dataset.json", "manifest.jsonl", "checksums.json", "croissant.json", "README.md", "report.html")
+
+    def find(root: Any) -> dict[str, str]:
+        files = (path for path in sorted(root.rglob("*.*")) if path.is_file() and path.name not in told)
+        found = {relative_name(path, root): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+        entries = load_manifest(root).entries.items()
+        return found | {"/".join(key): f"{one.digest} {one.seed} {one.label}" for key, one in entries}
+
+    return find
 
 
 @pytest.fixture

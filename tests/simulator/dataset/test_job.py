@@ -35,21 +35,17 @@ ALL |= {("test", "s00000000")}
 SLOW = {"family": "./plugins.py:boxes", "size": [16, 20]}
 
 
-def contents(root: Path) -> dict[str, str]:
-    """Hashes of everything in a data set that the seed decides; the manifest's lines without their wall time."""
-    found = {
-        str(path.relative_to(root)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(root.rglob("*"))
-        if path.is_file() and path.name not in ("manifest.jsonl", "dataset.json", CHECKSUMS)
-    }
-    for line in (root / "manifest.jsonl").read_text().splitlines():
-        entry = json.loads(line)
-        del entry["seconds"], entry["stages"]
-        found[f"line {entry['split']}/{entry['id']}"] = json.dumps(entry)
-    info = json.loads((root / "dataset.json").read_text())
-    for free in ("output", "engine", "workers"):
-        del info["config"]["dataset"][free]
-    return found | {"info": json.dumps(info)}
+@pytest.fixture(scope="module")
+def contents(decided: Callable) -> Callable[[Path], dict[str, str]]:
+    """Everything in a data set that the seed decides, with what its description says but for place and workers."""
+
+    def find(root: Path) -> dict[str, str]:
+        info = json.loads((root / "dataset.json").read_text())
+        for free in ("output", "engine", "workers"):
+            del info["config"]["dataset"][free]
+        return decided(root) | {"info": json.dumps(info)}
+
+    return find
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +62,7 @@ def test_a_finished_set_verifies_and_its_layout_is_the_documented_one(finished: 
     assert (info["exposure"]["full_scale"], info["exposure"]["from"]) == (3e-6, "configuration")
     assert info["backend"] == "none"  # nothing was rendered
     samples = [f"{split}/0000/{name}" for split, name in sorted(ALL)]
-    expected = {"dataset.json", "manifest.jsonl", "checksums.json", "psf/psf.json"}
+    expected = {"dataset.json", "manifest.jsonl", "checksums.json", "croissant.json", "README.md", "psf/psf.json"}
     expected |= {f"psf/depth_{k:04d}.exr" for k in range(3)}
     expected |= {f"{sample}/{name}" for sample in samples for name in ("measurement.exr", "ground_truth.exr")}
     expected |= {f"{sample}/sample.json" for sample in samples}
@@ -84,12 +80,12 @@ def test_a_finished_set_verifies_and_its_layout_is_the_documented_one(finished: 
 @pytest.mark.parametrize(
     ("engine", "workers"), [("inline", 1), ("local", 2), pytest.param("ray", 2, marks=pytest.mark.slow)]
 )
-def test_same_seed_same_bytes_whatever_the_workers(trial, finished: Path, engine: str, workers: int) -> None:
+def test_same_seed_same_bytes_whatever_the_workers(trial, finished: Path, engine: str, workers: int, contents) -> None:
     again = trial.generate(dataset={"engine": engine, "workers": workers})
     assert contents(again) == contents(finished)
 
 
-def test_raising_counts_keeps_what_was_there(trial) -> None:
+def test_raising_counts_keeps_what_was_there(trial, contents) -> None:
     first = trial.generate()
     before = contents(first)
     stamps = {path: path.stat().st_mtime_ns for path in first.rglob("*.exr")}
@@ -108,7 +104,7 @@ def test_raising_counts_keeps_what_was_there(trial) -> None:
     assert contents(trial.generate(dataset={"train": 5, "output": "again/out"})) == after  # as if made at once
 
 
-def test_what_the_manifest_does_not_hold_is_made_again(trial, finished: Path) -> None:
+def test_what_the_manifest_does_not_hold_is_made_again(trial, finished: Path, contents) -> None:
     root = trial.generate()
     lines = (root / "manifest.jsonl").read_bytes().splitlines(keepends=True)
     (root / "manifest.jsonl").write_bytes(b"".join([*lines[:2], lines[3][:20]]))  # three lines lost, the last one torn
@@ -119,7 +115,7 @@ def test_what_the_manifest_does_not_hold_is_made_again(trial, finished: Path) ->
     assert contents(root) == contents(finished)
 
 
-def test_a_worker_that_is_killed_costs_nothing(trial, tmp_path: Path) -> None:
+def test_a_worker_that_is_killed_costs_nothing(trial, tmp_path: Path, contents) -> None:
     marker = tmp_path / "killed"
     scene = SLOW | {"kill_at": 1, "marker": str(marker)}
     root = trial.generate(dataset={"engine": "local", "workers": 2}, scene=scene)
@@ -132,7 +128,7 @@ def test_a_worker_that_is_killed_costs_nothing(trial, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_killed_run_is_finished_by_the_next(trial, tmp_path: Path) -> None:
+def test_a_killed_run_is_finished_by_the_next(trial, tmp_path: Path, contents) -> None:
     scene = SLOW | {"seconds": 0.2}
     path = trial.write(dataset={"engine": "local", "workers": 1, "train": 4}, scene=scene)
     root = tmp_path / "out"
@@ -166,7 +162,7 @@ def test_the_seal_covers_all_but_the_samples_and_comes_last(trial) -> None:
         (root / "contact_sheet.png").write_bytes(b"drawn")
 
     root = generate(trial.write(), finish=finish).path
-    files = ["dataset.json", "manifest.jsonl", "contact_sheet.png", "psf/psf.json"]
+    files = ["dataset.json", "manifest.jsonl", "contact_sheet.png", "croissant.json", "README.md", "psf/psf.json"]
     files += [f"psf/depth_{k:04d}.exr" for k in range(3)]
     sealed = json.loads((root / CHECKSUMS).read_text())["files"]
     assert sealed == {name: hashlib.sha256((root / name).read_bytes()).hexdigest() for name in files}
@@ -186,7 +182,7 @@ def test_a_run_that_breaks_off_leaves_its_data_set_unsealed(trial) -> None:
     assert verify(root).ok
 
 
-def test_killed_at_any_moment_a_growing_data_set_passes_for_no_whole_one_and_is_finished(trial, monkeypatch) -> None:
+def test_killed_at_any_moment_a_growing_data_set_is_not_whole_and_is_finished(trial, monkeypatch, contents) -> None:
     """The disk after every step that reaches it, as a killed run leaves it: no handler cleans up."""
     root, kept, seen = trial.generate(), trial.folder / "moments", {}
 
@@ -400,7 +396,8 @@ class TestRefusals:
         assert self.refused(trial).startswith("dataset.output: ")
         for split in ("train", "validation", "test"):  # nor does a manifest alone pass for finished samples
             shutil.rmtree(root / split)
-        (root / CHECKSUMS).unlink()
+        for name in (CHECKSUMS, "croissant.json", "README.md"):
+            (root / name).unlink()
         assert "manifest.jsonl" in self.refused(trial)
 
     def test_a_file_in_place_of_the_folder(self, trial) -> None:

@@ -1,6 +1,5 @@
 """Data sets in an object store: the bytes of a folder, whoever made them and in however many pieces."""
 
-import hashlib
 from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
@@ -15,7 +14,7 @@ from simulator.dataset.shards import Shard
 from simulator.dataset.status import status
 from simulator.errors import InputError
 from simulator.io import store
-from simulator.io.store import Place, StorePath, place, relative_name
+from simulator.io.store import StorePath, place
 from simulator.plots.contact_sheet import contact_sheet
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
@@ -32,15 +31,6 @@ def root(bucket: str) -> Iterator[StorePath]:
     store._client.cache_clear()
 
 
-def hashes(root: Place) -> dict[str, str]:
-    found = {
-        relative_name(path, root): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in root.rglob("*.*")
-        if path.name not in ("manifest.jsonl", "dataset.json", "checksums.json")
-    }
-    return found | {"/".join(key): entry.digest for key, entry in load_manifest(root).entries.items()}
-
-
 @pytest.fixture(scope="module")
 def local(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable) -> Path:
     """The same data set in a folder."""
@@ -54,11 +44,11 @@ def written(trial, root: StorePath, **changes: object) -> Path:
 
 
 @pytest.mark.parametrize("engine", ["inline", "local", pytest.param("ray", marks=pytest.mark.slow)])
-def test_the_bytes_of_a_folder(trial, root: StorePath, local: Path, engine: str) -> None:
+def test_the_bytes_of_a_folder(trial, root: StorePath, local: Path, decided, engine: str) -> None:
     path = written(trial, root, engine=engine, workers=2)
     result = generate(path)
     assert (result.path, result.made, result.failed, result.missing) == (root, 10, (), 0)
-    assert hashes(root) == hashes(local)
+    assert decided(root) == decided(local)
     assert not (root / WRITERS).exists()
     assert verify(root).ok
     assert status(root).sealed
@@ -69,7 +59,7 @@ def test_the_bytes_of_a_folder(trial, root: StorePath, local: Path, engine: str)
     assert not Path("s3:").exists()
 
 
-def test_shards_and_what_a_dying_one_leaves(trial, root: StorePath, local: Path, monkeypatch) -> None:
+def test_shards_and_what_a_dying_one_leaves(trial, root: StorePath, local: Path, decided, monkeypatch) -> None:
     path = written(trial, root)
     append, left = ManifestWriter.append, iter(range(1))
 
@@ -87,7 +77,7 @@ def test_shards_and_what_a_dying_one_leaves(trial, root: StorePath, local: Path,
     assert not verify(root).ok
     results = [generate(path, shard=Shard(index, 3)) for index in range(3)]
     assert results[-1].missing == 0
-    assert hashes(root) == hashes(local)
+    assert decided(root) == decided(local)
     assert not (root / WRITERS).exists()
     assert verify(root).ok
 
@@ -116,13 +106,13 @@ def test_faults_are_found_there(trial, root: StorePath) -> None:
         assert word in problems
 
 
-def test_from_a_store_to_a_folder_and_drawn_there(trial, root: StorePath, local: Path, tmp_path: Path) -> None:
+def test_from_a_store_to_a_folder_and_drawn_there(trial, root: StorePath, local: Path, decided, tmp_path: Path) -> None:
     generate(written(trial, root), finish=lambda path: contact_sheet(path, path / "contact_sheet.png"))
     assert (root / "contact_sheet.png").read_bytes().startswith(b"\x89PNG")
     assert verify(root).ok
     copy = tmp_path / "copy"
     assert merge(copy, [root]).taken == 10
-    assert hashes(copy) == hashes(local)
+    assert decided(copy) == decided(local)
     assert verify(copy).ok
 
 

@@ -29,14 +29,6 @@ def copy(made, tmp_path: Path) -> Path:
     return tmp_path / "copy"
 
 
-def files(root: Path) -> dict[str, bytes]:
-    return {
-        path.relative_to(root).as_posix(): path.read_bytes()
-        for path in sorted(root.rglob("*"))
-        if path.is_file() and path.name not in ("manifest.jsonl", "dataset.json", "checksums.json")
-    }
-
-
 def repaired(trial, root: Path) -> tuple[int, list[str]]:
     said: list[str] = []
     result = generate(trial.path, [f"dataset.output={root}"], repair=True, say=said.append)
@@ -84,7 +76,7 @@ def _edit(root: Path, old: str, new: str) -> None:
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_exactly_what_is_damaged_is_made_anew(made, copy: Path, damage: str) -> None:
+def test_exactly_what_is_damaged_is_made_anew(made, copy: Path, decided, damage: str) -> None:
     harm, count = DAMAGES[damage]
     stamps = {path: path.stat().st_mtime_ns for path in copy.rglob("*.exr")}
     harm(copy)
@@ -93,7 +85,7 @@ def test_exactly_what_is_damaged_is_made_anew(made, copy: Path, damage: str) -> 
     assert again == count
     assert len(said) == (count or 1)
     assert verify(copy).ok
-    assert files(copy) == files(made[1])
+    assert decided(copy) == decided(made[1])
     kept = sum(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items() if "psf" not in path.parts)
     assert kept >= 2 * (9 - count)  # not even written again
     assert load_manifest(copy).entries.keys() == load_manifest(made[1]).entries.keys()
@@ -109,15 +101,15 @@ def test_nothing_is_done_where_nothing_is_damaged(made, copy: Path, flatlight) -
     assert "1 samples made" in out
 
 
-def test_what_repair_cannot_help(made, copy: Path, tmp_path: Path) -> None:
+def test_what_repair_cannot_help(made, copy: Path, tmp_path: Path, decided) -> None:
     trial = made[0]
     with pytest.raises(InputError, match=r"^--repair: "):
         generate(trial.path, [f"dataset.output={tmp_path / 'new'}"], repair=True)
     with pytest.raises(InputError, match=r"^--repair: "):
         generate(trial.path, [f"dataset.output={copy}"], repair=True, shard=Shard(0, 2))
-    before = files(copy)
+    before = decided(copy)
     text = (copy / "dataset.json").read_text()
     (copy / "dataset.json").write_text(text.replace('"name": "trial"', '"name": "trail"'))
     with pytest.raises(InputError, match=r"dataset\.json: "):
         generate(trial.path, [f"dataset.output={copy}"], repair=True)
-    assert files(copy) == before
+    assert decided(copy) == before

@@ -171,6 +171,17 @@ def test_what_lies_there_and_should_not(dataset: Path, stray: str) -> None:
     assert problem == inside if "/s00000000/" in name else problem.startswith(f"{name}: ")
 
 
+@pytest.mark.parametrize("place", ["dataset.json", "psf", "train", "train/0000/s00000000/measurement.exr", "more"])
+def test_nothing_is_read_through_a_link(dataset: Path, tmp_path: Path, place: str) -> None:
+    """Not even where it leads to the same file as before."""
+    path, outside = dataset / place, tmp_path / "outside"
+    if path.exists():
+        path.rename(outside)
+    path.symlink_to(outside)
+    (problem,) = verify(dataset).problems
+    assert problem.startswith(f"{place}: a link; ")
+
+
 def test_documents_beside_the_data_are_noted(dataset: Path) -> None:
     for name in ("README.md", "LICENSE"):
         (dataset / name).write_text("by the user")

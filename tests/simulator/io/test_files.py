@@ -10,14 +10,18 @@ from simulator.errors import InputError
 from simulator.io import files
 from simulator.io.files import (
     StorageError,
+    committed_file,
     committed_folder,
     expanded,
     leftovers,
+    not_plain,
+    read_limited,
     remove_leftovers,
     sha256_bytes,
     sha256_file,
     write_atomic,
 )
+from simulator.io.lines import read_lines
 
 SHA256_ABC = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"  # FIPS 180-4, example B.1
 
@@ -130,3 +134,50 @@ def test_sha256_of_a_published_example(tmp_path: Path) -> None:
     assert sha256_file(tmp_path / "abc") == sha256_bytes(b"abc") == SHA256_ABC
     with pytest.raises(InputError, match="gone: "):
         sha256_file(tmp_path / "gone")
+
+
+def test_a_committed_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "made" / "on the way" / "x"
+    with committed_file(path) as temporary:
+        temporary.write_bytes(b"half")
+        assert not path.exists()
+        temporary.write_bytes(b"whole")
+    assert path.read_bytes() == b"whole"
+    with pytest.raises(KeyError), committed_file(path) as temporary:
+        {}[temporary.write_bytes(b"half")]
+    with pytest.raises(StorageError), committed_file(path):
+        pass  # nobody wrote it
+    assert path.read_bytes() == b"whole"
+    assert [entry.name for entry in path.parent.iterdir()] == ["x"]
+
+
+def test_what_is_neither_a_file_nor_a_folder(tmp_path: Path) -> None:
+    """Everything is found, and nothing is looked at beyond a link."""
+    root = tmp_path / "root"
+    (root / "a" / "b").mkdir(parents=True)
+    (root / "a" / "file").touch()
+    assert list(not_plain(root)) == []
+    (tmp_path / "outside").mkdir()
+    os.mkfifo(tmp_path / "outside" / "pipe")
+    (root / "a" / "b" / "link").symlink_to(tmp_path / "outside")
+    (root / "a" / "gone").symlink_to(tmp_path / "nothing")
+    os.mkfifo(root / "pipe")
+    assert sorted(not_plain(root)) == [root / "a/b/link", root / "a/gone", root / "pipe"]
+    with pytest.raises(InputError, match="nowhere"):
+        list(not_plain(tmp_path / "nowhere"))
+
+
+def test_reading_is_limited(tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    path.write_bytes(b"12345")
+    assert read_limited(path, "digits", 5) == b"12345"
+    with pytest.raises(InputError, match="expected digits"):
+        read_limited(path, "digits", 4)
+    os.mkfifo(tmp_path / "pipe")
+    for place in (tmp_path / "pipe", tmp_path, tmp_path / "gone"):
+        with pytest.raises(InputError, match=place.name):
+            read_limited(place, "digits")
+    with path.open("ab") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(InputError, match="line of more than"):
+        list(read_lines(path))
