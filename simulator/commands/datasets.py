@@ -5,14 +5,17 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from simulator.commands.shared import ConfigPath, Overrides
-from simulator.console import Bar
+from simulator.console import Bar, JsonLog
 from simulator.errors import InputError
 from simulator.io.store import Place
+
+if TYPE_CHECKING:
+    from simulator.dataset.job import GenerateResult
 
 MadeFrom = Annotated[
     Path | None,
@@ -66,26 +69,68 @@ def generate(
         str | None,
         typer.Option("--shard", metavar="I/N", help="make part I of N, from 0; the others may run at the same time"),
     ] = None,
+    ignore_space: Annotated[
+        bool,
+        typer.Option("--ignore-space", help="go on where the disk has no room for all that the first samples forecast"),
+    ] = False,
+    log_json: Annotated[
+        bool, typer.Option("--log-json", help="tell progress, messages and the result on stdout, a line of JSON each")
+    ] = False,
+    estimate: Annotated[
+        bool, typer.Option("--estimate", help="make two samples, throw them away, and say what all will cost")
+    ] = False,
+    price: Annotated[
+        float | None, typer.Option("--price", min=0, help="with --estimate: of a CPU-hour, in any currency")
+    ] = None,
 ) -> None:
     """Make a data set, or finish one that was begun."""
-    from simulator.dataset.checksums import REPORT
     from simulator.dataset.job import generate as run
-    from simulator.dataset.manifest import FAILED, SKIPPED
-    from simulator.dataset.problems import PROBLEMS, shortened
     from simulator.dataset.shards import Shard
 
+    if estimate:
+        _estimate(config, set_ or [], price)
+        return
+    with JsonLog() if log_json else Bar() as shown:
+        try:
+            result = run(
+                config,
+                set_ or [],
+                shard=None if shard is None else Shard.parsed(shard),
+                skip_bad=skip_bad,
+                accept_exposure=accept_exposure,
+                repair=repair,
+                ignore_space=ignore_space,
+                progress=shown.update,
+                say=shown.say,
+                watch=shown.watch,
+                finish=_draw,
+            )
+        except InputError as error:
+            if isinstance(shown, JsonLog):
+                shown.tell("error", text=str(error))
+            raise
+        if isinstance(shown, JsonLog):
+            shown.tell("end", **vars(result))
+        else:
+            _tell(result)
+    if result.failed or (shard is None and not result.made + result.kept):
+        raise typer.Exit(1)
+
+
+def _estimate(config: Path, overrides: list[str], price: float | None) -> None:
+    from simulator.dataset.estimate import estimate as run
+
     with Bar() as bar:
-        result = run(
-            config,
-            set_ or [],
-            shard=None if shard is None else Shard.parsed(shard),
-            skip_bad=skip_bad,
-            accept_exposure=accept_exposure,
-            repair=repair,
-            progress=bar.update,
-            say=bar.say,
-            finish=_draw,
-        )
+        found = run(config, overrides, price=price, progress=bar.update, say=bar.say)
+    print(found)
+
+
+def _tell(result: GenerateResult) -> None:
+    """Print what a run did: on stdout where to look, on stderr what is missing."""
+    from simulator.dataset.checksums import REPORT
+    from simulator.dataset.manifest import FAILED, SKIPPED
+    from simulator.dataset.problems import PROBLEMS, shortened
+
     kept = f", {result.kept} were there before" if result.kept else ""
     print(f"{result.made} samples made in {result.seconds:.0f} s{kept}: {result.path}")
     if result.missing:
@@ -95,19 +140,14 @@ def generate(
     if result.problems:
         print(f"of the source was left out what {result.path / PROBLEMS} lists: {len(result.problems)} in all")
     if result.skipped:
-        print(
-            f"{len(result.skipped)} samples were left out: {result.path / SKIPPED} says which and why", file=sys.stderr
-        )
-        print(shortened(result.skipped), file=sys.stderr)
-    for line in result.failed:
-        print(f"failed: {line}", file=sys.stderr)
+        listed = f"{result.path / SKIPPED} says which and why"
+        print(f"{len(result.skipped)} samples were left out: {listed}\n{shortened(result.skipped)}", file=sys.stderr)
     if result.failed:
         listed = f"{result.path / FAILED} has the tracebacks"
+        print(shortened([f"failed: {line}" for line in result.failed], indent=""), file=sys.stderr)
         print(
             f"{len(result.failed)} samples failed, {listed}; run the same command again to retry them", file=sys.stderr
         )
-    if result.failed or not result.made + result.kept:
-        raise typer.Exit(1)
 
 
 def status(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from simulator.dataset.card import write_card
 from simulator.dataset.checksums import unseal, write_seal
 from simulator.dataset.croissant import write_croissant
 from simulator.dataset.dataset_info import DatasetInfo
+from simulator.dataset.forecast import ENOUGH, Facts, Forecast
 from simulator.dataset.manifest import (
     FAILED,
     FailedWriter,
@@ -39,7 +41,7 @@ from simulator.dataset.problems import list_problems
 from simulator.dataset.reader import all_metadata
 from simulator.dataset.recipe import make_sample, perform
 from simulator.dataset.repair import take_out_bad
-from simulator.dataset.sample import sample_id, sample_index
+from simulator.dataset.sample import sample_folder, sample_id, sample_index
 from simulator.dataset.shards import Shard, alone, is_prepared, sharing
 from simulator.errors import InputError
 from simulator.io.files import StorageError, remove_leftovers
@@ -86,8 +88,10 @@ def generate(
     skip_bad: bool = False,
     accept_exposure: bool = False,
     repair: bool = False,
+    ignore_space: bool = False,
     progress: Report | None = None,
     say: Say | None = None,
+    watch: Callable[[Facts], object] | None = None,
     finish: Callable[[Place], object] | None = None,
 ) -> GenerateResult:
     """Make a data set, or finish one that was begun.
@@ -101,14 +105,16 @@ def generate(
             reported and tried again by the next run.
         accept_exposure: go on where no value carries signal: all are saturated, black or below the noise.
         repair: check every byte first, and make anew exactly what is not as it was written.
+        ignore_space: go on where the first samples show that the disk has no room for all.
         progress: called with (stage, done, total).
         say: called with lines worth reading: the backend, measured errors, warnings.
+        watch: called before ``progress`` with what more is known of the samples.
         finish: called with the data set's folder, where it has samples, before ``checksums.json`` seals it: to draw its
             pages. With shards, by the last to end.
 
     Raises:
         InputError: for mistakes in the configuration or its files, or when the folder holds another data set, or one that
-            is not as it was sealed; nothing that was written before is lost.
+            is not as it was sealed, or for want of space; nothing that was written before is lost.
         StorageError: when the disk is full or protected.
     """
     begin = time.perf_counter()
@@ -119,7 +125,8 @@ def generate(
         plan = make_plan(config, skip_bad, told, said)
         if repair:
             _repair(plan, shard, told, said)
-        job = _Job(plan, shard, accept_exposure, told, said, finish or (lambda root: None))
+        quiet = (lambda facts: None, lambda root: None)
+        job = _Job(plan, shard, accept_exposure, ignore_space, told, said, watch or quiet[0], finish or quiet[1])
         job.run()
     skipped = tuple(f"{split}/{name}: {reason}" for (split, name), reason in load_skipped(plan.root).items())
     seconds = time.perf_counter() - begin
@@ -147,8 +154,10 @@ class _Job:
     plan: Plan
     shard: Shard | None
     accept_exposure: bool
+    ignore_space: bool
     progress: Report
     say: Say
+    watch: Callable[[Facts], object]
     finish: Callable[[Place], object]
     made: int = 0
     kept: int = 0
@@ -221,6 +230,7 @@ class _Job:
         root, chosen = self.plan.root, self.plan.config.dataset
         recipe = replace(self.plan.recipe, full_scale=float(info.exposure["full_scale"]))
         finished, skipped = finished_samples(root), load_skipped(root)
+        there = list(islice(((split, index) for split in finished for index in finished[split]), ENOUGH))
         for split, name in skipped:
             finished[split].add(sample_index(name))
         total = sum(1 for _ in self._wanted())
@@ -229,6 +239,9 @@ class _Job:
         if self.shard is None:
             (root / FAILED).unlink(missing_ok=True)
         tasks = ((root, split, index) for split, index in self._wanted() if index not in finished[split])
+        forecast = Forecast(root, sum(self.plan.counts.values()) - sum(map(len, finished.values())))
+        for split, index in there:
+            self._measure(forecast, split, index)
         passed_over = 0
         self.progress("samples", total - count, total)
         for outcome in perform(chosen, make_sample, tasks, count, recipe):
@@ -243,13 +256,21 @@ class _Job:
                 with FailedWriter(manifest.folder) as failing:
                     failing.append(split, index, reason_of(outcome), outcome.attempts, outcome.traceback)
                 self.failed.append(f"{split}/{sample_id(index)}: {reason_of(outcome)}")
-                continue
             else:
                 assert outcome.value is not None
                 record, stages = outcome.value
                 manifest.append(record, outcome.seconds, stages)
                 self.made += 1
+                self._measure(forecast, split, index)
+            each = forecast.bytes_per_sample
+            self.watch(Facts(len(self.failed), *(None if each is None else each * part for part in (self.made, count))))
             self.progress("samples", total - count + self.made + passed_over, total)
+
+    def _measure(self, forecast: Forecast, split: str, index: int) -> None:
+        """Look at the size of a sample, and refuse to go on where it shows that the disk has no room for all."""
+        forecast.measure(sample_folder(self.plan.root, split, index))
+        if forecast.measured == ENOUGH and not self.ignore_space:
+            forecast.refuse_too_large()
 
     def _wanted(self) -> Iterator[tuple[str, int]]:
         """Yield split and number of each sample that this run is to see to."""

@@ -12,10 +12,11 @@ PROBLEMS = "source_problems.txt"
 _SHOWN = 20
 
 
-def shortened(lines: Sequence[str]) -> str:
+def shortened(lines: Sequence[str], indent: str = "  ") -> str:
     """Return lines as text, of many only the first, and how many more there are."""
     more = len(lines) - _SHOWN
-    return "\n".join([*(f"  {line}" for line in lines[:_SHOWN]), *([f"  and {more} more"] if more > 0 else [])])
+    shown = [*lines[:_SHOWN], *([f"and {more} more"] if more > 0 else [])]
+    return "\n".join(f"{indent}{line}" for line in shown)
 
 
 def refuse_problems(problems: Sequence[str]) -> None:

@@ -105,6 +105,21 @@ class TestGenerate:
         assert "1 samples made in " in out
         assert "4 were there before" in out
 
+    def test_a_log_of_json_lines(self, flatlight, trial) -> None:
+        path = trial.write(scene=BOXES | {"fail_at": 1})
+        code, out, err = flatlight("generate", path, "--log-json")
+        assert code == 1
+        assert err == ""
+        *others, end = [json.loads(line) for line in out.splitlines()]
+        assert {one["event"] for one in others} == {"progress", "message"}
+        assert (end["event"], end["made"], end["path"]) == ("end", 4, str(trial.folder / "out"))
+        assert end["failed"][0].startswith("train/s00000001: ")
+        code, out, err = flatlight("generate", path, "--log-json", "--set", "camera.noise.psnr_db=30")
+        assert code == 2
+        (error,) = (one for line in out.splitlines() if (one := json.loads(line))["event"] == "error")
+        assert "psnr_db" in error["text"]
+        assert error["text"].splitlines()[0] in err
+
     def test_failed_samples_end_with_1(self, flatlight, trial) -> None:
         path = trial.write(scene=BOXES | {"fail_at": 1, "marker": "mended"})
         code, out, err = flatlight("generate", path)

@@ -1,0 +1,48 @@
+"""What a data set will cost, told from a few samples, against what it then costs."""
+
+from pathlib import Path
+
+import pytest
+
+from simulator.dataset import generate
+from simulator.dataset.estimate import estimate
+from simulator.dataset.manifest import load_manifest
+from simulator.errors import InputError
+
+pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
+
+DATASET = {"train": 20, "validation": 4, "test": 4, "engine": "local", "workers": 2}
+
+
+def test_it_tells_what_the_data_set_then_takes(trial) -> None:
+    scene = {"family": "./plugins.py:boxes", "size": [16, 20], "seconds": 0.05}
+    path = trial.write(dataset=DATASET, scene=scene)
+    found = estimate(path, price=0.04)
+    assert not (trial.folder / "out").exists()
+    assert found.counts == {"train": 20, "validation": 4, "test": 4}
+    root = generate(path).path
+    files = [path for path in root.rglob("*") if path.is_file()]
+    assert found.files == len(files) + 2  # drawn by the command: report.html, contact_sheet.png
+    assert found.bytes == pytest.approx(sum(path.stat().st_size for path in files if path.suffix != ".md"), rel=0.1)
+    seconds = sum(entry.seconds for entry in load_manifest(root).entries.values())
+    assert found.cpu_hours * 3600 == pytest.approx(seconds, rel=0.5)  # of a machine that does other things, too
+    assert found.sample_s > 0.05
+    assert 50e6 < found.memory_bytes < 5e9
+
+
+def test_the_command_prints_it_and_writes_nothing(trial, flatlight) -> None:
+    path = trial.write(dataset=DATASET | {"train": 1_000_000}, camera={"exposure": {"full_scale": "auto"}})
+    code, out, _ = flatlight("generate", path, "--estimate", "--price", "0.04")
+    assert code == 0
+    assert "1,000,008 (train 1,000,000, validation 4, test 4)" in out
+    assert "CPU-hours" in out
+    assert "at 0.04 per CPU-hour" in out
+    assert not (trial.folder / "out").exists()
+
+
+def test_few_samples_and_those_that_cannot_be_made(trial, tmp_path: Path) -> None:
+    one = estimate(trial.write(dataset={"train": 0, "validation": 0, "test": 1}))
+    assert one.samples == 1
+    scene = {"family": "./plugins.py:boxes", "size": [16, 20], "fail_at": 0}
+    with pytest.raises(InputError, match="no clip 0 today"):
+        estimate(trial.write(scene=scene))
