@@ -6,7 +6,6 @@ Names, labels and settings may come from anybody: their text is escaped, so that
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -14,7 +13,7 @@ import yaml
 
 from simulator.dataset.checksums import CARD, OUR_CARD, is_our_card
 from simulator.dataset.dataset_info import DatasetInfo, read_info
-from simulator.dataset.manifest import Manifest, load_manifest
+from simulator.dataset.manifest import Survey, survey
 from simulator.errors import InputError
 from simulator.io.files import write_atomic
 from simulator.io.json import canonical_json
@@ -74,15 +73,15 @@ def card(root: Place) -> bytes:
     Raises:
         InputError: not a data set, or a damaged one.
     """
-    info, manifest, stack = read_info(root), load_manifest(root), read_psf_stack(root / PSF_FOLDER)
+    info, known, stack = read_info(root), survey(root), read_psf_stack(root / PSF_FOLDER)
     parts = [
-        _front_matter(info, manifest),
+        _front_matter(info, known),
         f"# {_plain(info.name)}",
-        f"{len(manifest.entries)} simulated captures of a lensless camera, each with its ground truth: linear radiance, "
+        f"{known.samples} simulated captures of a lensless camera, each with its ground truth: linear radiance, "
         "depth from the mask plane and validity of every pixel.",
         "## Samples",
-        _table(("split", "samples"), _counts(info, manifest)),
-        *_labels(manifest),
+        _table(("split", "samples"), _counts(info, known)),
+        *_labels(known.labels),
         _table(("array", "size"), _sizes(info)),
         "## Camera",
         _table(("what", "value"), _camera(info, stack)),
@@ -125,9 +124,8 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def _front_matter(info: DatasetInfo, manifest: Manifest) -> str:
-    count = len(manifest.entries)
-    labelled = any(entry.label is not None for entry in manifest.entries.values())
+def _front_matter(info: DatasetInfo, known: Survey) -> str:
+    count, labelled = known.samples, bool(known.labels)
     content = {
         "pretty_name": _line(info.name),  # hubs look for the line that ends the front matter before they read YAML
         "size_categories": [next((name for most, name in _SIZES if count < most), "n>10M")],
@@ -137,14 +135,13 @@ def _front_matter(info: DatasetInfo, manifest: Manifest) -> str:
     return f"---\n{yaml.safe_dump(content, sort_keys=False, width=2 * _LONGEST)}---"
 
 
-def _counts(info: DatasetInfo, manifest: Manifest) -> Rows:
+def _counts(info: DatasetInfo, known: Survey) -> Rows:
     for split, wanted in info.counts.items():
-        found = len(manifest.ids(split))
+        found = len(known.finished[split])
         yield split, found if found == wanted else f"{found} of {wanted}"
 
 
-def _labels(manifest: Manifest) -> list[str]:
-    labels = Counter(entry.label for entry in manifest.entries.values() if entry.label is not None)
+def _labels(labels: Mapping[str, int]) -> list[str]:
     if not labels:
         return []
     shown = sorted(labels.items(), key=lambda item: (-item[1], item[0]))[:_LABELS_SHOWN]

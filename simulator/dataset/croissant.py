@@ -14,7 +14,7 @@ from urllib.parse import quote
 
 from simulator.dataset.checksums import CROISSANT
 from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info
-from simulator.dataset.manifest import MANIFEST, load_manifest
+from simulator.dataset.manifest import MANIFEST, finished_samples
 from simulator.dataset.sample import DESCRIPTION, FRAMES, GROUND_TRUTH, MEASUREMENT, SPLITS, SURROUNDINGS
 from simulator.io.files import sha256_file, write_atomic
 from simulator.io.json import readable_json
@@ -72,8 +72,8 @@ def croissant(root: Place) -> bytes:
     Raises:
         InputError: not a data set, or a damaged one.
     """
-    info, manifest = read_info(root), load_manifest(root)
-    counts = {split: len(manifest.ids(split)) for split in info.counts}
+    info, finished = read_info(root), finished_samples(root)
+    counts = {split: len(finished[split]) for split in info.counts}
     splits = [split for split in SPLITS if split in counts]
     hashed = f"its SHA-256 stands in the sample's {DESCRIPTION}, whose digest stands in {MANIFEST}"
     kinds = {

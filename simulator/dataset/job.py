@@ -14,7 +14,7 @@ import numpy as np
 from simulator.camera.exposure import ExposureShares
 from simulator.config import Config, load_config
 from simulator.dataset.card import write_card
-from simulator.dataset.checksums import unseal, write_seal
+from simulator.dataset.checksums import changed_files, read_seal, unseal, write_seal
 from simulator.dataset.croissant import write_croissant
 from simulator.dataset.dataset_info import DatasetInfo
 from simulator.dataset.forecast import ENOUGH, Facts, Forecast
@@ -30,6 +30,7 @@ from simulator.dataset.manifest import (
 )
 from simulator.dataset.plan import Plan, Report, Say, make_plan
 from simulator.dataset.preparation import (
+    described_anew,
     existing_info,
     look_at_a_clip,
     made_folder,
@@ -166,9 +167,11 @@ class _Job:
 
     def run(self) -> None:
         """Prepare the data set, make its samples and seal it: in one go, or alone, beside others, and alone again."""
-        root = self.plan.root
-        if existing_info(self.plan) is None and not self.plan.timed:
+        root, existing = self.plan.root, existing_info(self.plan)
+        if existing is None and not self.plan.timed:
             look_at_a_clip(self.plan)
+        if existing is not None and self._is_complete(existing):
+            return
         with made_folder(root):
             if self.shard is None and not isinstance(root, StorePath):
                 with ManifestWriter(root) as manifest:
@@ -180,6 +183,20 @@ class _Job:
             with alone(root) as manifest:
                 if manifest is not None and not self.missing:
                     self._end(info)
+
+    def _is_complete(self, existing: DatasetInfo) -> bool:
+        """Whether the data set is sealed, as it was sealed, and nothing is left to be made."""
+        root, plan = self.plan.root, self.plan
+        hashes = read_seal(root)
+        if hashes is None or existing != described_anew(plan, existing) or next(changed_files(root, hashes), None):
+            return False
+        finished, skipped = finished_samples(root), load_skipped(root)
+        self.kept = sum(1 for split, index in self._wanted() if index in finished[split])
+        there = self.kept + sum(1 for split, name in skipped if self._is_ours(split, name))
+        total = sum(1 for _ in self._wanted())
+        if there == total:
+            self.progress("samples", there, total)
+        return there == total
 
     def _beside_others(self) -> DatasetInfo:
         """Make the samples of a shard, and count what other shards have not made when it ends."""

@@ -7,6 +7,7 @@ What a data set holds is the union of all. The last run to end merges them.
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from itertools import chain, pairwise
@@ -103,22 +104,53 @@ def _manifest(root: Place, skip_bad: bool) -> Manifest:
     return Manifest(_in_order(entries), torn, lines - len(entries))
 
 
-def finished_samples(root: Place | str) -> dict[str, set[int]]:
-    """Return the numbers of the finished samples by split: what a run has to know of a million.
+@dataclass(frozen=True)
+class Survey:
+    """What a manifest says in all, without its entries: little memory for a million samples.
+
+    Attributes:
+        finished: the numbers of the finished samples by split, all splits.
+        labels: how many lines have each label.
+        tidy: whether there is one line a sample, and none torn.
+    """
+
+    finished: dict[str, set[int]]
+    labels: Counter[str]
+    tidy: bool
+
+    @property
+    def samples(self) -> int:
+        """How many samples are finished."""
+        return sum(map(len, self.finished.values()))
+
+
+def survey(root: Place | str) -> Survey:
+    """Read a data set's manifest for what it says in all.
 
     Raises:
         InputError: see `load_manifest`.
     """
+    return _settled(lambda: _survey(place(root)))
 
-    def collect() -> dict[str, set[int]]:
-        found: dict[str, set[int]] = {split: set() for split in SPLITS}
-        for where, line in _lines(place(root), MANIFEST):
-            if line.endswith(b"\n"):
-                _, (split, name) = _content(where, line, _is_entry, _ENTRY)
-                found[split].add(int(name[1:]))
-        return found
 
-    return _settled(collect)
+def _survey(root: Place) -> Survey:
+    found: dict[str, set[int]] = {split: set() for split in SPLITS}
+    labels, lines, whole = Counter[str](), 0, True
+    for where, line in _lines(root, MANIFEST):
+        if not line.endswith(b"\n"):
+            whole = False
+            continue
+        content, (split, name) = _content(where, line, _is_entry, _ENTRY)
+        found[split].add(int(name[1:]))
+        lines += 1
+        if content["label"] is not None:
+            labels[content["label"]] += 1
+    return Survey(found, labels, whole and lines == sum(map(len, found.values())))
+
+
+def finished_samples(root: Place | str) -> dict[str, set[int]]:
+    """Return the numbers of the finished samples by split; errors as `load_manifest`."""
+    return survey(root).finished
 
 
 def load_skipped(root: Place | str) -> dict[Key, str]:
@@ -206,7 +238,8 @@ def _content(
 def _lines(root: Place, name: str) -> Iterator[tuple[tuple[Place, int], bytes]]:
     """Yield the lines of a list and of every writer's with the file and the number of each."""
     others = writers_files(root, name)  # listed before anything is read: what is merged meanwhile is missed from them
-    yield from (((root / name, number), line) for number, line in enumerate(read_lines(root / name), start=1))
+    own = root / name
+    yield from (((own, number), line) for number, line in enumerate(read_lines(own), start=1))
     for path in others:
         lines = read_lines(path)
         if (first := next(lines, None)) is None and not path.exists():
@@ -361,9 +394,8 @@ def merge_lists(root: Place, *, skip_bad: bool = False) -> None:
     """
     with read_errors(root / WRITERS):
         many = (root / WRITERS).exists()
-    manifest = load_manifest(root, skip_bad=skip_bad)
-    if many or manifest.duplicates or manifest.torn:
-        rewrite_manifest(root, manifest.entries.values())
+    if many or skip_bad or not survey(root).tidy:
+        rewrite_manifest(root, load_manifest(root, skip_bad=skip_bad).entries.values())
     if not many:
         return
     rest: dict[str, dict[Key, dict[str, Any]]] = {

@@ -79,10 +79,15 @@ def prepare(
     with _all_or_nothing(plan.root):
         stack = data_set_stack(plan.assembly, plan.root, say)
         info = existing or _described(plan, stack, _exposure(plan, accept_exposure, progress, say))
-        wanted = replace(info, counts=plan.counts, config=dump(plan.config))
+        wanted = described_anew(plan, info)
         if wanted != existing:
             write_info(plan.root, wanted)
     return wanted, stack
+
+
+def described_anew(plan: Plan, info: DatasetInfo) -> DatasetInfo:
+    """Return the description of a data set that was begun, with what another run may change: counts, place, workers."""
+    return replace(info, counts=plan.counts, config=dump(plan.config))
 
 
 def _described(plan: Plan, stack: PsfStack, exposure: dict[str, Any]) -> DatasetInfo:
