@@ -97,6 +97,20 @@ def decided() -> Callable[[Any], dict[str, str]]:
     return find
 
 
+@pytest.fixture(scope="session")
+def tree() -> Callable[[Path], dict[str, str]]:
+    """Return a function: a folder to everything in it, files with the SHA-256 of their content."""
+
+    def find(folder: Path) -> dict[str, str]:
+        return {
+            str(path.relative_to(folder)): "" if path.is_dir() else hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in folder.rglob("*")
+            if "__pycache__" not in path.parts
+        }
+
+    return find
+
+
 @pytest.fixture
 def samples(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     """The helpers in samples.py."""
