@@ -134,7 +134,7 @@ def _tell(result: GenerateResult) -> None:
     kept = f", {result.kept} were there before" if result.kept else ""
     print(f"{result.made} samples made in {result.seconds:.0f} s{kept}: {result.path}")
     if result.missing:
-        print(f"{result.missing} samples are left to other shards: flatlight status {result.path}")
+        print(f"left to other shards: {result.missing}; flatlight status {result.path} says more")
     elif result.made + result.kept:
         print(f"look at {result.path / REPORT}")
     if result.problems:

@@ -17,6 +17,7 @@ from simulator.dataset.card import write_card
 from simulator.dataset.checksums import changed_files, read_seal, unseal, write_seal
 from simulator.dataset.croissant import write_croissant
 from simulator.dataset.dataset_info import DatasetInfo
+from simulator.dataset.engines import ready
 from simulator.dataset.forecast import ENOUGH, Facts, Forecast
 from simulator.dataset.manifest import (
     FAILED,
@@ -167,22 +168,23 @@ class _Job:
 
     def run(self) -> None:
         """Prepare the data set, make its samples and seal it: in one go, or alone, beside others, and alone again."""
-        root, existing = self.plan.root, existing_info(self.plan)
-        if existing is None and not self.plan.timed:
-            look_at_a_clip(self.plan)
+        root, chosen, existing = self.plan.root, self.plan.config.dataset, existing_info(self.plan)
         if existing is not None and self._is_complete(existing):
             return
-        with made_folder(root):
-            if self.shard is None and not isinstance(root, StorePath):
-                with ManifestWriter(root) as manifest:
-                    info = self._begin(manifest.locked)
-                    self._samples(info, manifest)
-                    self._end(info)
-                return
-            info = self._beside_others()
-            with alone(root) as manifest:
-                if manifest is not None and not self.missing:
-                    self._end(info)
+        with ready(chosen.engine, chosen.workers, chosen.ray):
+            if existing is None and not self.plan.timed:
+                look_at_a_clip(self.plan)
+            with made_folder(root):
+                if self.shard is None and not isinstance(root, StorePath):
+                    with ManifestWriter(root) as manifest:
+                        info = self._begin(manifest.locked)
+                        self._samples(info, manifest)
+                        self._end(info)
+                    return
+                info = self._beside_others()
+                with alone(root) as manifest:
+                    if manifest is not None and not self.missing:
+                        self._end(info)
 
     def _is_complete(self, existing: DatasetInfo) -> bool:
         """Whether the data set is sealed, as it was sealed, and nothing is left to be made."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +27,7 @@ from simulator.text import described
 if TYPE_CHECKING:
     from simulator.config.schema import RayConfig
 
-__all__ = ["ENGINES", "EngineError", "GivenUpError", "Outcome", "WorkerError", "available_cpus", "run"]
+__all__ = ["ENGINES", "EngineError", "GivenUpError", "Outcome", "WorkerError", "available_cpus", "ready", "run"]
 
 ENGINES = ("inline", "local", "ray")
 
@@ -86,6 +87,17 @@ def run(
 
         return Cluster(tries, chosen, start, timeout_s, max_tasks, ray).outcomes()
     return Pool(tries, chosen or available_cpus(), start, timeout_s, max_tasks).outcomes()
+
+
+@contextmanager
+def ready(engine: str, workers: int | str, ray: RayConfig | None) -> Iterator[None]:
+    """Keep the cluster of engine ``ray`` connected over several runs, which would each start one; errors as `run`."""
+    with ExitStack() as stack:
+        if engine == "ray":
+            from simulator.dataset.engines.cluster import connected
+
+            stack.enter_context(connected(workers if isinstance(workers, int) else None, ray))
+        yield
 
 
 def available_cpus() -> int:

@@ -86,6 +86,59 @@ def attempt(start: bytes, payload: bytes, timeout_s: float | None, max_tasks: in
     return _slot.attempt(start, payload, timeout_s, max_tasks)
 
 
+@contextmanager
+def connected(workers: int | None, settings: RayConfig | None) -> Iterator[None]:
+    """Connect to a cluster, or start one on this machine for so long; a program that is connected already stays so.
+
+    Raises:
+        InputError: Ray is not installed, or there is no such cluster.
+    """
+    ray = _package()
+    if ray.is_initialized():
+        yield
+        return
+    address = (settings and settings.address) or os.environ.get("RAY_ADDRESS") or "local"
+    environment = dict(ONE_THREAD)
+    options: dict[str, Any] = {}
+    if address == "local":  # of the same machine: what is importable here is importable there
+        environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
+        options = {"num_cpus": workers, "object_store_memory": _OBJECT_STORE_BYTES, "include_dashboard": False}
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray would report its use to its makers
+    main = threading.current_thread() is threading.main_thread()
+    ours = signal.getsignal(signal.SIGTERM)
+    try:
+        ray.init(
+            address=address,
+            runtime_env={"env_vars": environment},
+            log_to_driver=False,
+            logging_level="ERROR",
+            **options,
+        )
+    except Exception as error:
+        raise InputError(
+            "dataset.ray.address",
+            f"no Ray cluster at {address!r} ({described(error)}); start one (`ray start --head`), or leave the address "
+            "out for a cluster on this machine",
+        ) from error
+    finally:
+        if main:
+            signal.signal(signal.SIGTERM, ours)  # Ray puts its own in its place
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+def _package() -> Any:
+    try:
+        import ray
+    except ImportError as error:
+        raise InputError(
+            "dataset.engine", f"ray is not installed ({error}); pip install 'flatlight[cluster]', or engine: local"
+        ) from error
+    return ray
+
+
 class Cluster:
     """A run on a Ray cluster: the tasks that are under way there."""
 
@@ -98,18 +151,8 @@ class Cluster:
         max_tasks: int,
         settings: RayConfig | None,
     ) -> None:
-        """Prepare a run on at most ``workers`` CPUs of the cluster, None for all of them.
-
-        Raises:
-            InputError: Ray is not installed.
-        """
-        try:
-            import ray
-        except ImportError as error:
-            raise InputError(
-                "dataset.engine", f"ray is not installed ({error}); pip install 'flatlight[cluster]', or engine: local"
-            ) from error
-        self._ray: Any = ray
+        """Prepare a run on at most ``workers`` CPUs of the cluster, None for all of them; errors as `connected`."""
+        self._ray = _package()
         self._tries, self._workers, self._settings = tries, workers, settings or RayConfig()
         self._start, self._timeout_s, self._max_tasks = start, timeout_s, max_tasks
         self._under_way: dict[Future[Any], tuple[Job, Any]] = {}  # each with its reference, by which Ray knows it
@@ -119,7 +162,7 @@ class Cluster:
     def outcomes(self) -> Iterator[Outcome]:
         """Yield the outcomes as they come; see `simulator.dataset.engines.run`."""
         ray, tries = self._ray, self._tries
-        with stop_signals(), self._connected():
+        with stop_signals(), connected(self._workers, self._settings):
             options: dict[str, Any] = {"num_cpus": 1, "max_retries": _RETRIES, "resources": self._settings.resources}
             if self._settings.memory_gb is not None:
                 options["memory"] = round(self._settings.memory_gb * 1e9)
@@ -143,48 +186,6 @@ class Cluster:
             finally:
                 for _, reference in self._under_way.values():
                     ray.cancel(reference, force=True)
-
-    @contextmanager
-    def _connected(self) -> Iterator[None]:
-        """Connect to a cluster, or start one on this machine for so long; one that the program uses already stays."""
-        ray = self._ray
-        if ray.is_initialized():
-            yield
-            return
-        address = self._settings.address or os.environ.get("RAY_ADDRESS") or "local"
-        environment = dict(ONE_THREAD)
-        options: dict[str, Any] = {}
-        if address == "local":  # of the same machine: what is importable here is importable there
-            environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
-            options = {
-                "num_cpus": self._workers,
-                "object_store_memory": _OBJECT_STORE_BYTES,
-                "include_dashboard": False,
-            }
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray would report its use to its makers
-        main = threading.current_thread() is threading.main_thread()
-        ours = signal.getsignal(signal.SIGTERM)
-        try:
-            ray.init(
-                address=address,
-                runtime_env={"env_vars": environment},
-                log_to_driver=False,
-                logging_level="ERROR",
-                **options,
-            )
-        except Exception as error:
-            raise InputError(
-                "dataset.ray.address",
-                f"no Ray cluster at {address!r} ({described(error)}); start one (`ray start --head`), or leave the address "
-                "out for a cluster on this machine",
-            ) from error
-        finally:
-            if main:
-                signal.signal(signal.SIGTERM, ours)  # Ray puts its own in its place
-        try:
-            yield
-        finally:
-            ray.shutdown()
 
     def _most(self) -> int:
         """Return how many tasks may be under way: one more for each CPU than it can do, so that none waits for the next."""
