@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import fcntl
 import itertools
 import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
@@ -32,6 +31,7 @@ from simulator.dataset.reader import Dataset
 from simulator.dataset.sample import SPLITS, StoredSample, sample_index
 from simulator.errors import InputError
 from simulator.io.files import committed_folder, sha256_bytes, storage_errors
+from simulator.io.locks import take_lock
 from simulator.types import Clip, Surroundings
 
 Arrays = dict[str, NDArray[Any]]
@@ -419,8 +419,7 @@ class SampleCache:
         with ExitStack() as stack:
             with storage_errors(lock):  # of the lock alone: what goes wrong under it is another matter
                 held = stack.enter_context(open(lock, "ab"))
-            with suppress(OSError):  # a file system without locks: two may write the same cache, one after the other's
-                fcntl.flock(held, fcntl.LOCK_EX)
+            take_lock(held, wait=True)  # where there are no locks, two may write the same cache: the later one's stays
             if not cache._is_whole():
                 cache._write(dataset, read)
         return cache

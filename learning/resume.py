@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import io
 import json
 import os
@@ -25,6 +24,7 @@ from simulator.dataset.fingerprint import difference
 from simulator.errors import InputError
 from simulator.io.files import remove_leftovers, storage_errors, write_atomic
 from simulator.io.json import readable_json
+from simulator.io.locks import take_lock
 
 DESCRIPTION = "training.json"
 """What is trained on what."""
@@ -72,13 +72,9 @@ def sole_use(folder: Path, parts: dict[str, Any]) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY)
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+        if take_lock(descriptor) is False:  # not None: a file system without locks
             busy = f"another process trains in {folder} now; wait for it, or choose another folder"
-            raise InputError("output", busy) from error
-        except OSError:
-            pass  # a file system without locks
+            raise InputError("output", busy)
         check_folder(folder, parts)
         remove_leftovers(folder)
         if not (folder / STATE).exists():

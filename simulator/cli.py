@@ -94,6 +94,9 @@ def _command_line() -> typer.Typer:
 
 def main() -> None:
     """Run the command: one clear line per mistake, exit code 2 for the user's, 1 for ours."""
+    if sys.platform == "win32":  # workers, locks and files that survive a power cut are made for Unix
+        print("error: flatlight runs on Linux; on Windows, install and use it in WSL 2", file=sys.stderr)
+        raise SystemExit(2)
     try:
         _command_line()(standalone_mode=True)
     except InputError as error:

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Literal
 
 from simulator.dataset.engines import available_cpus
+from simulator.errors import InputError
 from simulator.io.cache import cache_folder
 from simulator.render.backend import LLVM_VARIANT, choose_backend
 
@@ -101,7 +102,10 @@ def _rendering() -> Check:
     if missing:
         advice = "install flatlight with its dependencies: pip install flatlight"
         return Check("rendering", "problem", f"{' and '.join(missing)} missing: scenes cannot be rendered", advice)
-    backend = choose_backend("auto")
+    try:
+        backend = choose_backend("auto")
+    except InputError as error:
+        return Check("rendering", "problem", str(error))
     fast = backend.variant == LLVM_VARIANT
     return Check("rendering", "ok" if fast else "note", f"Mitsuba {backend.message}", backend.advice)
 

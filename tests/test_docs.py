@@ -1,7 +1,9 @@
-"""The galleries are whole and say what the designs and the scene families say of themselves; the README's family works."""
+"""The galleries say what designs and scene families say of themselves; the README's family and SLURM's script work."""
 
+import os
 import re
 import shutil
+import subprocess
 from pathlib import Path
 from types import ModuleType
 
@@ -85,3 +87,16 @@ def test_the_readme_s_family_takes_the_default_file_s_keys_and_gives_a_good_imag
     marble = clip.depth_m[0] < 0.9 * clip.depth_m.max()
     assert 0.1 < marble.mean() < 0.6
     assert clip.depth_m[0][marble].std() > 0.01
+
+
+def test_slurm_s_array_has_a_task_for_every_shard(tmp_path: Path) -> None:
+    """The script starts what is called flatlight: here, one that says what it was given."""
+    (tmp_path / "flatlight").write_text('#!/bin/sh\necho "$@"\n')
+    (tmp_path / "flatlight").chmod(0o755)
+    script = DOCS / "slurm.sh"
+    (last,) = re.findall(r"^#SBATCH --array=0-(\d+)$", script.read_text(encoding="utf-8"), re.MULTILINE)
+    job = {"SLURM_ARRAY_TASK_ID": last, "SLURM_CPUS_PER_TASK": "8", "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    command = ["bash", str(script), "my.yaml", "--skip-bad"]
+    done = subprocess.run(command, env=os.environ | job, capture_output=True, text=True, check=True)
+    shard = f"{last}/{int(last) + 1}"
+    assert done.stdout == f"generate my.yaml --skip-bad --shard {shard} --set dataset.workers=8\n"

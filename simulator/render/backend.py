@@ -89,7 +89,8 @@ def choose_backend(requested: Request = "auto", spectral: bool = False) -> Backe
             library, not the kind of colour.
 
     Raises:
-        InputError: when ``requested`` is not one of these, or is ``llvm`` and LLVM cannot be proven.
+        InputError: when ``requested`` is not one of these, or is ``llvm`` and LLVM cannot be proven, or when Mitsuba
+            cannot be imported.
 
     Example:
         >>> choose_backend("scalar").variant
@@ -119,7 +120,8 @@ def activate(variant: str, threads: int | None = None) -> None:
             what of the image depends on it: jobs have one for each worker.
 
     Raises:
-        InputError: when the variant is unknown, the threads are below 1, or LLVM has gone since it was proven.
+        InputError: when the variant is unknown, the threads are below 1, LLVM has gone since it was proven, or Mitsuba
+            cannot be imported.
         RuntimeError: when this process already renders with another variant, or was forked from one that renders:
             its render threads did not survive the fork.
     """
@@ -128,9 +130,12 @@ def activate(variant: str, threads: int | None = None) -> None:
         raise InputError("variant", f"got {variant!r}, expected one of {', '.join(VARIANTS)} (see choose_backend)")
     if threads is not None and threads < 1:
         raise InputError("threads", f"got {threads}, expected at least 1")
-    with home_for_kernels(), _quiet_stderr():
-        import drjit as dr
-        import mitsuba as mi
+    try:
+        with home_for_kernels(), _quiet_stderr():
+            import drjit as dr
+            import mitsuba as mi
+    except (ImportError, NameError) as error:  # the latter by Dr.Jit's own handler, where its library cannot be loaded
+        raise _not_importable(str(error.__context__ or error)) from error
 
     current = mi.variant()
     if _activated is not None and _activated[0] != os.getpid():
@@ -199,6 +204,9 @@ def _judge(done: subprocess.CompletedProcess[str]) -> _Proof:
     version = ".".join(map(str, numbers)) if found and isinstance(numbers, list) else None
     mean = facts.get("mean")
     if "found" not in facts:
+        for line in done.stderr.splitlines():
+            if line.startswith(("ImportError: ", "ModuleNotFoundError: ")):
+                raise _not_importable(line.partition(": ")[2])
         return None, f"Mitsuba could not be imported in a fresh process ({last_words})"
     if not found:
         return None, "too old a libLLVM was found" if "too old" in done.stderr else "no usable libLLVM was found"
@@ -211,6 +219,11 @@ def _judge(done: subprocess.CompletedProcess[str]) -> _Proof:
     if not isinstance(mean, float) or abs(mean - 0.5) > 0.1:
         return version, f"a test render with libLLVM {version} came out wrong (mean {mean}, expected 0.5)"
     return version, ""
+
+
+def _not_importable(reason: str) -> InputError:
+    cure = "install what it lacks (minimal systems lack libatomic.so.1, of the package libatomic1 or libatomic)"
+    return InputError("mitsuba", f"cannot be imported: {reason}; {cure}")
 
 
 def _how_to_get_llvm(library: str | None) -> str:

@@ -23,6 +23,7 @@ from learning.resume import (
 )
 from learning.resume import described as described_with
 from simulator.errors import InputError
+from simulator.io.locks import take_lock
 
 CONFIG: dict[str, Any] = {"output": "a", "steps": 5, "seed": 1, "data": {"train": "x", "workers": 2, "cache": True}}
 
@@ -111,16 +112,13 @@ def test_one_training_at_a_time(tmp_path: Path) -> None:
 
 def test_what_came_there_before_the_lock_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another training begins and ends between the first look and the lock."""
-    import learning.resume as module
 
-    flock = module.fcntl.flock
-
-    def late(descriptor: int, kind: int) -> None:
+    def late(descriptor: int) -> bool | None:
         (tmp_path / DESCRIPTION).write_text('{"config": {"seed": 7}}')
         (tmp_path / STATE).touch()
-        flock(descriptor, kind)
+        return take_lock(descriptor)
 
-    monkeypatch.setattr(module.fcntl, "flock", late)
+    monkeypatch.setattr("learning.resume.take_lock", late)
     with pytest.raises(InputError, match=r"^output: "), sole_use(tmp_path, {"config": {"seed": 8}}):
         pass
 

@@ -11,6 +11,7 @@ import pytest
 
 from simulator import doctor
 from simulator.doctor import Check, diagnose, memory_bytes
+from simulator.errors import InputError
 from simulator.render.backend import Backend
 
 LLVM = Backend("llvm_ad_rgb", "15.0.6", "llvm_ad_rgb, proven with libLLVM 15.0.6")
@@ -68,6 +69,16 @@ def test_rendering_and_torch_where_something_is_missing(computer):
     check = _found("torch")  # nothing is started
     assert check.status == "note"
     assert "flatlight[learn]" in check.advice
+
+
+def test_a_mitsuba_that_cannot_be_imported_is_a_problem(computer):
+    def refuse(_):
+        raise InputError("mitsuba", "cannot be imported: libatomic.so.1")
+
+    computer.setattr(doctor, "choose_backend", refuse)
+    check = _found("rendering")
+    assert check.status == "problem"
+    assert check.what.startswith("mitsuba: ")
 
 
 @pytest.mark.parametrize(

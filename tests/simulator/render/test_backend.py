@@ -58,7 +58,7 @@ def test_without_llvm_auto_falls_back_and_says_what_to_do(monkeypatch: pytest.Mo
         (0, '{"found": true, "version": [19, 1, 0]}\n{"mean": 0.0}\n', "", "19.1.0", "came out wrong"),
         (0, '{"found": true, "version": [23, 0, 0]}\n', "", "23.0.0", "is not one of 15 to 22"),
         (1, '{"found": false, "version": [-1, -1, -1]}\n', "LLVM version (14) is too old.", None, "too old"),
-        (1, "", "ModuleNotFoundError: No module named 'mitsuba'\n", None, "No module named 'mitsuba'"),
+        (-6, "", "terminate called\n", None, "terminate called"),
     ],
 )
 def test_the_proof_tells_how_llvm_failed(
@@ -95,6 +95,24 @@ def test_bad_arguments_and_llvm_where_there_is_none_are_the_users_mistake(
 ) -> None:
     done = python("-c", f"from simulator.render import activate; activate({variant!r}, {threads})", **NO_LLVM)
     assert f"simulator.errors.InputError: {named}: " in done.stderr
+
+
+# What Dr.Jit 1.4 says on a Debian without libatomic1.
+LACKS_LIBRARY = """
+    from . import _drjit_ext as _drjit_ext
+ImportError: libatomic.so.1: cannot open shared object file: No such file or directory
+
+During handling of the above exception, another exception occurred:
+
+NameError: name '_drjit_ext' is not defined
+"""
+
+
+def test_a_mitsuba_that_cannot_be_imported_is_named_with_what_it_lacks(python: Python) -> None:
+    with pytest.raises(InputError, match=r"^mitsuba: .*libatomic\.so\.1"):
+        _judge(subprocess.CompletedProcess([], 1, "", LACKS_LIBRARY))
+    code = "import sys; sys.modules['drjit'] = None; from simulator.render import activate; activate('scalar_rgb')"
+    assert "simulator.errors.InputError: mitsuba: " in python("-c", code).stderr
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Dr.Jit keeps its cache elsewhere on Windows")
