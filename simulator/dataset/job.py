@@ -165,12 +165,12 @@ class _Job:
                 with ManifestWriter(root) as manifest:
                     info = self._begin(manifest.locked)
                     self._samples(info, manifest)
-                    self._end(info)
+                    self._end(info, manifest.locked)
                 return
             info = self._beside_others()
             with alone(root) as manifest:
                 if manifest is not None and not self.missing:
-                    self._end(info)
+                    self._end(info, manifest.locked)
 
     def _beside_others(self) -> DatasetInfo:
         """Make the samples of a shard, and count what other shards have not made when it ends."""
@@ -204,9 +204,11 @@ class _Job:
             self.say(list_problems(plan.root, plan.problems))
         return info
 
-    def _end(self, info: DatasetInfo) -> None:
-        """Say what the data set is worth, let it be drawn, and seal it."""
+    def _end(self, info: DatasetInfo, locked: bool) -> None:
+        """Say what the data set is worth, let it be drawn, and seal it; ``locked`` as for `_begin`."""
         root = self.plan.root
+        if locked and isinstance(root, Path):
+            remove_leftovers(root, _LEVELS)  # of workers that were killed
         if self.made:
             self._sum_up(info.exposure)
         merge_lists(root)

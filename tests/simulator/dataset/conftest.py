@@ -1,7 +1,9 @@
-"""The light path once more, by its definition: what the data sets' tests hold measurements to."""
+"""The light path once more, by its definition: what the data sets' tests hold measurements to; a Ray cluster."""
 
 import json
-from collections.abc import Callable
+import os
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -47,3 +49,15 @@ def irradiance() -> Callable[..., NDArray[np.float64]]:
     By one full convolution per plane and channel, in float64, with the PSFs and the colours of a data set's own files.
     """
     return _irradiance
+
+
+@pytest.fixture(scope="module")
+def ray_cluster() -> Iterator[None]:
+    """A cluster that outlives a run; for its workers the tasks' module is importable."""
+    import ray
+
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    environment = {"env_vars": {"PYTHONPATH": path}}
+    ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False, runtime_env=environment)
+    yield
+    ray.shutdown()
