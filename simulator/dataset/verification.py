@@ -19,7 +19,7 @@ from simulator.dataset.checksums import (
     CHECKSUMS,
     changed_files,
     files_to_seal,
-    is_our_card,
+    is_replaced_card,
     read_seal,
     write_seal,
 )
@@ -183,7 +183,7 @@ def check_seal(root: Place) -> tuple[dict[str, str] | None, list[InputError]]:
         hashes = read_seal(root)
     except InputError as error:
         return {}, [error]
-    if hashes and CARD in hashes and (root / CARD).exists() and not is_our_card(root / CARD):
+    if hashes and CARD in hashes and is_replaced_card(root / CARD):
         del hashes[CARD]  # the user's by now
     return hashes, list(changed_files(root, hashes or {}))
 

@@ -115,8 +115,9 @@ def _failure(error: BaseException) -> Failure:
 
 
 def is_tried_again(error: BaseException | None) -> bool:
-    """Whether a task that raised this may do better: it tried to end its process (``sys.exit()``, KeyboardInterrupt), or
-    memory ran out, which others may have used up; also where that became an ``InputError``.
+    """Whether a task that raised this may do better: it tried to end its process (``sys.exit()``), or memory ran out.
+
+    Also where that became an ``InputError``.
     """
     return any(
         isinstance(raised, MemoryError) or not isinstance(raised, Exception | None)

@@ -1,4 +1,4 @@
-"""SIGKILL at any moment, of workers, of their parent and of shards: the next run ends with the bytes of an undisturbed one."""
+"""SIGKILL at any moment, of workers, parents and shards: the next run ends with the bytes of an undisturbed one."""
 
 import os
 import signal
@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -223,16 +223,10 @@ def test_parent_killed_at_10_moments(slowly: Slowly, engine: str) -> None:
     assert any(0 <= count < COUNT for count in finished)
 
 
-@pytest.fixture
-def no_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.delenv("RAY_ADDRESS", raising=False)
-    yield
-
-
-@pytest.mark.usefixtures("no_cluster")
 @pytest.mark.parametrize("in_the_middle", [False, True])
-def test_a_killed_parent_takes_its_own_cluster_along(slowly: Slowly, in_the_middle: bool) -> None:
+def test_a_killed_parent_takes_its_own_cluster_along(slowly: Slowly, in_the_middle: bool, monkeypatch) -> None:
     """Its raylet, its GCS and all workers, also where it dies while the cluster starts."""
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
     marker, name = uuid4().hex, f"own-{in_the_middle}"
     slowly.paced(0.2)
     process, seen = slowly.start(name, "ray", FLATLIGHT_TEST_RUN=marker), dict[int, str]()

@@ -3,7 +3,6 @@
 import json
 import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -102,7 +101,7 @@ def test_bad_samples_are_told_after_three_tries_and_all_others_are_made(
     badly(trial)
     chosen = {"train": GOOD + len(CAUSES), "validation": 0, "test": 0, "engine": engine, "workers": 2, "timeout_s": 2}
     path = trial.write(dataset=chosen, scene={"family": "./badly.py:scenes", "size": [16, 20]})
-    code, out, err = flatlight("generate", path)
+    code, _, err = flatlight("generate", path)
     root = trial.folder / "out"
     assert code == 1, err
     assert len(load_manifest(root).entries) == GOOD
