@@ -62,7 +62,7 @@ def is_our_card(path: Place) -> bool:
 
 
 def is_replaced_card(path: Place) -> bool:
-    """Whether a file is another than a card that Flatlight wrote: it has neither its begin, or what a truncation left of it, nor its end.
+    """Whether a file is another than a card that Flatlight wrote: it neither begins like one, cut short or not, nor ends so.
 
     Raises:
         InputError: it cannot be read.

@@ -39,6 +39,7 @@ def run_inline(
                 seconds = time.perf_counter() - begin
                 attempts += 1
                 stop.check()
-            if is_tried_again(error) and not isinstance(error, InputError):
+            if not isinstance(error, InputError | None) and is_tried_again(error):
                 error = GivenUpError(described(error))
+            assert isinstance(error, Exception | None)
             yield Outcome(task, value, error, text, attempts, seconds)
