@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,3 +62,16 @@ def ray_cluster() -> Iterator[None]:
     ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False, runtime_env=environment)
     yield
     ray.shutdown()
+
+
+@pytest.fixture(scope="session")
+def contents(decided: Callable) -> Callable[[Any], dict[str, str]]:
+    """Return a function: a data set to all that its seed decides, and its description but for place and workers."""
+
+    def find(root: Any) -> dict[str, str]:
+        info = json.loads((root / "dataset.json").read_bytes())
+        for free in ("output", "engine", "workers"):
+            del info["config"]["dataset"][free]
+        return decided(root) | {"info": json.dumps(info)}
+
+    return find

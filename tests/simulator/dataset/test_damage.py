@@ -24,8 +24,8 @@ from simulator.dataset.verification import check_seal
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 
 KINDS = 18
-"""Of files: three lists and the problems, dataset.json, the seal, card, croissant.json, report and contact sheet, psf.json and
-planes of two stacks, sample.json, measurement, truth and global measurement."""
+"""Of files: three lists and the problems, dataset.json, the seal, card, croissant.json, report and contact sheet, psf.json
+and planes of two stacks, sample.json, measurement, truth and global measurement."""
 
 
 def write_whole(samples: ModuleType, root: Path) -> Path:
