@@ -35,6 +35,7 @@ CROISSANT = "croissant.json"
 CARD = "README.md"
 OUR_CARD = "<!-- flatlight card: generate writes this file anew; without this line it is yours -->"
 """The last line of a card that Flatlight wrote."""
+_CARDS_HEAD = b"---\npretty_name: "
 _LARGEST = 4 << 30  # bytes, of a list of twenty million samples: more is not hashed
 _STACKS = (PSF_FOLDER, CAPTURED_FOLDER)
 
@@ -58,6 +59,18 @@ def is_our_card(path: Place) -> bool:
     with read_errors(path), path.open("rb") as file:
         file.seek(max(0, size_of(path) - len(OUR_CARD) - 8))
         return file.read().rstrip().rpartition(b"\n")[2] == OUR_CARD.encode()
+
+
+def is_replaced_card(path: Place) -> bool:
+    """Whether a file is another than a card that Flatlight wrote: it neither begins like one, cut short or not, nor ends so.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    if not path.is_file() or is_our_card(path):
+        return False
+    with read_errors(path), path.open("rb") as file:
+        return not _CARDS_HEAD.startswith(file.read(len(_CARDS_HEAD)))
 
 
 def write_seal(root: Place) -> None:
@@ -134,7 +147,8 @@ def changed_files(root: Place, hashes: Mapping[str, str]) -> Iterator[InputError
             yield error
             continue
         if changed:
-            yield InputError(path, f"has other content than {CHECKSUMS} says (SHA-256 differs); restore it from a copy")
+            cure = "restore it from a copy" + (", or keep it as yours: run generate again" if name == CARD else "")
+            yield InputError(path, f"has other content than {CHECKSUMS} says (SHA-256 differs); {cure}")
 
 
 def unseal(root: Place) -> None:

@@ -44,7 +44,7 @@ from simulator.dataset.reader import all_metadata
 from simulator.dataset.recipe import make_sample, perform
 from simulator.dataset.repair import take_out_bad
 from simulator.dataset.sample import sample_folder, sample_id, sample_index
-from simulator.dataset.shards import Shard, alone, is_prepared, sharing
+from simulator.dataset.shards import Shard, alone, sharing
 from simulator.errors import InputError
 from simulator.io.files import StorageError, remove_leftovers
 from simulator.io.store import Place, StorePath
@@ -179,12 +179,12 @@ class _Job:
                     with ManifestWriter(root) as manifest:
                         info = self._begin(manifest.locked)
                         self._samples(info, manifest)
-                        self._end(info)
+                        self._end(info, manifest.locked)
                     return
                 info = self._beside_others()
                 with alone(root) as manifest:
                     if manifest is not None and not self.missing:
-                        self._end(info)
+                        self._end(info, manifest.locked)
 
     def _is_complete(self, existing: DatasetInfo) -> bool:
         """Whether the data set is sealed, as it was sealed, and nothing is left to be made."""
@@ -208,7 +208,7 @@ class _Job:
                 if manifest is not None:
                     self._begin(manifest.locked)
             with sharing(root, self.shard, self.say) as own:
-                if not is_prepared(root):  # who was alone has died meanwhile
+                if own is None:
                     continue
                 info = existing_info(self.plan)
                 assert info is not None
@@ -232,9 +232,11 @@ class _Job:
             self.say(list_problems(plan.root, plan.problems))
         return info
 
-    def _end(self, info: DatasetInfo) -> None:
-        """Say what the data set is worth, let it be drawn, and seal it."""
+    def _end(self, info: DatasetInfo, locked: bool) -> None:
+        """Say what the data set is worth, let it be drawn, and seal it; ``locked`` as for `_begin`."""
         root = self.plan.root
+        if locked and isinstance(root, Path):
+            remove_leftovers(root, _LEVELS)  # of workers that were killed
         if self.made:
             self._sum_up(info.exposure)
         merge_lists(root)

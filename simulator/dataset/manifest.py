@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import chain, pairwise
 from types import TracebackType
@@ -81,7 +82,7 @@ def load_manifest(root: Place | str, *, skip_bad: bool = False) -> Manifest:
     Raises:
         InputError: unreadable file, or a bad line before the last.
     """
-    return _settled(lambda: _manifest(place(root), skip_bad))
+    return _settled(place(root), lambda: _manifest(place(root), skip_bad))
 
 
 def _manifest(root: Place, skip_bad: bool) -> Manifest:
@@ -130,7 +131,7 @@ def survey(root: Place | str) -> Survey:
     Raises:
         InputError: see `load_manifest`.
     """
-    return _settled(lambda: _survey(place(root)))
+    return _settled(place(root), lambda: _survey(place(root)))
 
 
 def _survey(root: Place) -> Survey:
@@ -214,7 +215,7 @@ def _by_sample(
         pairs = (_content(where, line, fits, expected) for where, line in whole)
         return _in_order({key: content for content, key in pairs})
 
-    return _settled(collect)
+    return _settled(root, collect)
 
 
 def _content(
@@ -257,12 +258,14 @@ class _MergedError(Exception):
     """A writer's list is gone since the folder was listed: the run that ended last has merged it."""
 
 
-def _settled(collect: Callable[[], Result]) -> Result:
-    while True:
-        try:
+def _settled(root: Place, collect: Callable[[], Result]) -> Result:
+    for _ in range(_TIMES):
+        with suppress(_MergedError):
             return collect()
-        except _MergedError:
-            continue
+    raise InputError(root / WRITERS, "holds lists that cannot be read, such as links to nowhere; remove them")
+
+
+_TIMES = 20  # in a row that lists are merged while they are read: more often than all runs end together
 
 
 def _in_order(found: dict[Key, Result]) -> dict[Key, Result]:

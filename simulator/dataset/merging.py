@@ -10,7 +10,7 @@ from pathlib import Path
 from simulator.dataset.card import write_card
 from simulator.dataset.checksums import unseal, write_seal
 from simulator.dataset.croissant import write_croissant
-from simulator.dataset.dataset_info import DatasetInfo, check_shutter, read_info, write_info
+from simulator.dataset.dataset_info import FILE, DatasetInfo, check_shutter, read_info, write_info
 from simulator.dataset.fingerprint import difference
 from simulator.dataset.manifest import (
     Entry,
@@ -22,7 +22,7 @@ from simulator.dataset.manifest import (
     merge_lists,
 )
 from simulator.dataset.sample import DESCRIPTION, SPLITS, SampleRecord, read_description, sample_folder, sample_index
-from simulator.dataset.shards import alone, is_prepared, sharing
+from simulator.dataset.shards import alone, sharing
 from simulator.dataset.verification import check_sample
 from simulator.errors import InputError
 from simulator.io.files import committed_folder, read_errors, storage_errors, write_atomic
@@ -71,7 +71,8 @@ def merge(
     root, folders = place(target), [place(part) for part in parts]
     if not folders:
         raise InputError("parts", "got none, expected the folders of data sets to take samples from")
-    infos = {folder: read_info(folder) for folder in [*([root] if is_prepared(root) else []), *folders]}
+    there = [root] if (root / FILE).exists() else []
+    infos = {folder: read_info(folder) for folder in [*there, *folders]}
     merged = _common(infos)
     if isinstance(root, Path):
         with storage_errors(root):
@@ -83,6 +84,7 @@ def merge(
                 write_psf_stack(root / name, read_psf_stack(folders[0] / name))
         write_info(root, merged)
     with sharing(root, None, lambda _: None) as manifest:
+        assert manifest is not None  # the description was just written
         result = _take_samples(root, folders, merged, manifest, progress or (lambda done, total: None))
     with _sole(root):
         merge_lists(root)

@@ -84,14 +84,14 @@ def make_plan(config: Config, skip_bad: bool, progress: Report, say: Say) -> Pla
     variant = backend.variant if backend else "none"
     if backend:
         say(f"rendering with {backend.message}" + (f". {backend.advice}" if backend.advice else ""))
-    assembly = replace(assembly, backend=variant).having(shutter=shutter)
+    assembly = _with_mask(replace(assembly, backend=variant).having(shutter=shutter))
     source = assembly.source
     problems = _check_source(config, source, skip_bad, say)
     packages = getattr(source, "packages", ())
     fingerprint, parts = build_fingerprint(dump(config), variant, assembly.input_files, packages)
     folder = (root / PSF_FOLDER).resolve()
     recipe = Recipe(config, variant, folder, source if plugin.path is None else None, shutter, assembly.view)
-    return Plan(config, root, _with_mask(assembly), recipe, fingerprint, parts, problems, skip_bad, timed or renders)
+    return Plan(config, root, assembly, recipe, fingerprint, parts, problems, skip_bad, timed or renders)
 
 
 def output_place(text: str) -> Place:
@@ -122,7 +122,10 @@ def _check_source(config: Config, source: SceneSource, skip_bad: bool, say: Say)
 
 
 def _with_mask(assembly: Assembly) -> Assembly:
-    """Return the parts with the mask, where it is a user's design: made in a worker process, which it may end or block."""
+    """Return the parts with the mask, where it is a user's design: made in a worker process, which it may end or block.
+
+    Before any other part asks for it, as the view does for an automatic margin.
+    """
     config, chosen = assembly.config, assembly.config.camera.mask
     if chosen is None or ":" not in chosen.design or config.dataset.engine == "inline":
         return assembly

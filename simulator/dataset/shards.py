@@ -11,7 +11,7 @@ import os
 import re
 import secrets
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from simulator.dataset.manifest import MANIFEST, WRITERS, ManifestWriter
 from simulator.errors import InputError
 from simulator.io.files import sha256_bytes, storage_errors
 from simulator.io.lines import open_locked
-from simulator.io.store import Place, StorePath
+from simulator.io.store import Place
 
 
 @dataclass(frozen=True)
@@ -97,28 +97,26 @@ def alone(root: Place) -> Iterator[ManifestWriter | None]:
 
 
 @contextmanager
-def sharing(root: Place, shard: Shard | None, say: Callable[[str], None]) -> Iterator[ManifestWriter]:
+def sharing(root: Place, shard: Shard | None, say: Callable[[str], None]) -> Iterator[ManifestWriter | None]:
     """Give a manifest of its own to a process that makes samples while others may do the same.
 
-    It waits for a process that is alone there.
+    It waits for a process that is alone there; None where that has died before the data set had its description.
 
     Raises:
         StorageError: the folder cannot be written to.
     """
     name = "-".join([*([] if shard is None else [str(shard.index), "of", str(shard.count)]), secrets.token_hex(4)])
     own = root / WRITERS / name
-    if isinstance(own, StorePath):
-        with ManifestWriter(own) as writer:
-            yield writer
-        return
-    descriptor = _shared_lock(Path(str(root)) / MANIFEST, say)
-    try:
-        with storage_errors(own):
-            own.mkdir(parents=True, exist_ok=True)
-        with ManifestWriter(own) as writer:
-            yield writer
-    finally:
-        os.close(descriptor)
+    with ExitStack() as stack:
+        if isinstance(root, Path):
+            stack.callback(os.close, _shared_lock(root / MANIFEST, say))
+        if not (root / FILE).exists():
+            yield None
+            return
+        if isinstance(own, Path):
+            with storage_errors(own):
+                own.mkdir(parents=True, exist_ok=True)
+        yield stack.enter_context(ManifestWriter(own))
 
 
 def _shared_lock(path: Path, say: Callable[[str], None]) -> int:
@@ -129,8 +127,3 @@ def _shared_lock(path: Path, say: Callable[[str], None]) -> int:
             raise
     say(f"waiting for the process that prepares {path.parent}")
     return open_locked(path, shared=True, wait=True)[0]
-
-
-def is_prepared(root: Place) -> bool:
-    """Whether a data set has its description, with which samples can be made."""
-    return (root / FILE).exists()

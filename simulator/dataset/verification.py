@@ -19,7 +19,7 @@ from simulator.dataset.checksums import (
     CHECKSUMS,
     changed_files,
     files_to_seal,
-    is_our_card,
+    is_replaced_card,
     read_seal,
     write_seal,
 )
@@ -28,6 +28,7 @@ from simulator.dataset.engines import run
 from simulator.dataset.manifest import (
     MANIFEST,
     SKIPPED,
+    WRITERS,
     Entry,
     Key,
     Manifest,
@@ -183,7 +184,7 @@ def check_seal(root: Place) -> tuple[dict[str, str] | None, list[InputError]]:
         hashes = read_seal(root)
     except InputError as error:
         return {}, [error]
-    if hashes and CARD in hashes and (root / CARD).exists() and not is_our_card(root / CARD):
+    if hashes and CARD in hashes and is_replaced_card(root / CARD):
         del hashes[CARD]  # the user's by now
     return hashes, list(changed_files(root, hashes or {}))
 
@@ -358,6 +359,8 @@ def _check_places(
                 continue
             if (name in folders or _SPLIT_FOLDER.fullmatch(name)) and path.is_dir():
                 pending.append(path)
+            elif name == WRITERS:
+                problems.append(f"{name}: lists of runs that are at work or died; the next generate merges them")
             elif path.name.startswith(TEMPORARY_PREFIX):
                 problems.append(f"{name}: left by a run that died; delete it")
             elif _SAMPLE_FOLDER.fullmatch(name):

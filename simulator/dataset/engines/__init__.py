@@ -47,9 +47,9 @@ def run(
     """Apply ``function`` to every task and yield the outcomes, in any order.
 
     Tasks are taken from ``tasks`` when a worker is free for them. One that ends its worker in any way, tries to
-    (``sys.exit()``, KeyboardInterrupt) or does not finish in time is tried three times. Leaving the loop, Ctrl-C, SIGTERM
-    and SIGHUP stop the workers; wrap the call in ``contextlib.closing`` to have that happen at once on an exception of your
-    own.
+    (``sys.exit()``, KeyboardInterrupt), does not finish in time or runs out of memory is tried three times. Leaving the loop,
+    Ctrl-C, SIGTERM and SIGHUP stop the workers; wrap the call in ``contextlib.closing`` to have that happen at once on an
+    exception of your own.
 
     Args:
         engine: ``inline``, ``local`` or ``ray``; nothing protects ``inline`` from a task that hangs or ends the process
@@ -76,7 +76,7 @@ def run(
         return run_inline(function, tasks, initializer, initargs)
     try:
         pickle.dumps(function)
-        start = start_payload(initializer, initargs)
+        start = start_payload(function, initializer, initargs)
     except Exception as error:
         raise InputError(
             repr(function), f"cannot be sent to workers: must be importable by name ({described(error)})"

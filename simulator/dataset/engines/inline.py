@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from simulator.dataset.engines.stopping import stop_signals
-from simulator.dataset.engines.tries import TRIES, GivenUpError, Outcome, leaves
+from simulator.dataset.engines.tries import TRIES, GivenUpError, Outcome, is_tried_again
+from simulator.errors import InputError
 from simulator.text import described
 
 
@@ -27,7 +28,7 @@ def run_inline(
                 stop.check()
         for task in tasks:
             attempts, error = 0, None
-            while attempts == 0 or (leaves(error) and attempts < TRIES):
+            while attempts == 0 or (is_tried_again(error) and attempts < TRIES):
                 begin, value, error, text = time.perf_counter(), None, None, ""
                 try:
                     value = function(task)
@@ -38,6 +39,7 @@ def run_inline(
                 seconds = time.perf_counter() - begin
                 attempts += 1
                 stop.check()
-            if not isinstance(error, Exception | None):
+            if not isinstance(error, InputError | None) and is_tried_again(error):
                 error = GivenUpError(described(error))
+            assert isinstance(error, Exception | None)
             yield Outcome(task, value, error, text, attempts, seconds)

@@ -18,7 +18,7 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 TRIES = 3
-"""Of a task that ends its process, tries to, or does not finish in time."""
+"""Of a task that ends its process, tries to, does not finish in time or runs out of memory."""
 IN_A_ROW = 3
 """Workers that die while they start, or tasks whose workers are killed: the next will not do better."""
 
@@ -49,7 +49,7 @@ class WorkerError(RuntimeError):
 
 
 class GivenUpError(WorkerError):
-    """A task ended its worker, tried to, or did not finish in time, whenever it was tried."""
+    """A task ended its worker, tried to, did not finish in time or ran out of memory, whenever it was tried."""
 
 
 class EngineError(RuntimeError):
@@ -64,13 +64,13 @@ class Failure:
         summary: type and message.
         traceback: the worker's traceback as text.
         mistake: the exception itself when it is an ``InputError``.
-        leaves: whether the code tried to end its process, as ``sys.exit()`` does.
+        again: whether the task is to be tried again; see `is_tried_again`.
     """
 
     summary: str
     traceback: str
     mistake: InputError | None
-    leaves: bool
+    again: bool
 
 
 @dataclass(frozen=True)
@@ -111,22 +111,29 @@ def _failure(error: BaseException) -> Failure:
             mistake = copy if type(copy) is type(error) and str(copy) == str(error) else mistake
         except Exception:
             pass
-    return Failure(described(error), traceback.format_exc(), mistake, leaves(error))
+    return Failure(described(error), traceback.format_exc(), mistake, is_tried_again(error))
 
 
-def leaves(error: BaseException | None) -> bool:
-    """Whether code tried to end its process (``sys.exit()``, KeyboardInterrupt), also where that became an ``InputError``."""
-    cause = None if error is None else error.__cause__
-    return not isinstance(error, Exception | None) or not isinstance(cause, Exception | None)
+def is_tried_again(error: BaseException | None) -> bool:
+    """Whether a task that raised this may do better: it tried to end its process (``sys.exit()``), or memory ran out.
+
+    Also where that became an ``InputError``.
+    """
+    return any(
+        isinstance(raised, MemoryError) or not isinstance(raised, Exception | None)
+        for raised in (error, error and error.__cause__)
+    )
 
 
-def start_payload(initializer: Callable[..., object] | None, initargs: tuple[Any, ...]) -> bytes:
-    """Return the initializer for ``perform``."""
-    return pickle.dumps((initializer or _no_preparation, initargs))
+def start_payload(
+    function: Callable[..., object], initializer: Callable[..., object] | None, initargs: tuple[Any, ...]
+) -> bytes:
+    """Return for ``perform`` what prepares a worker; without an initializer the import of the function."""
+    return pickle.dumps((_imported, (function,)) if initializer is None else (initializer, initargs))
 
 
-def _no_preparation() -> None:
-    """Stand for an initializer."""
+def _imported(function: Callable[..., object]) -> None:
+    """Do nothing: to get here the module was imported, which must not count as the first task's time."""
 
 
 def check_start(failure: Failure | None) -> None:
@@ -187,7 +194,7 @@ class Tries:
         failure = reply.failure
         if failure is None:
             self.done.append(Outcome(job.task, pickle.loads(reply.value), None, "", job.attempts + 1, reply.seconds))
-        elif failure.leaves:
+        elif failure.again:
             self._try_again(job, failure.summary, failure, reply.seconds)
         else:
             error = failure.mistake or WorkerError(failure.summary)

@@ -1,8 +1,11 @@
-"""The light path once more, by its definition: what the data sets' tests hold measurements to."""
+"""The light path once more, by its definition: what the data sets' tests hold measurements to; a Ray cluster."""
 
 import json
-from collections.abc import Callable
+import os
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,3 +50,28 @@ def irradiance() -> Callable[..., NDArray[np.float64]]:
     By one full convolution per plane and channel, in float64, with the PSFs and the colours of a data set's own files.
     """
     return _irradiance
+
+
+@pytest.fixture(scope="module")
+def ray_cluster() -> Iterator[None]:
+    """A cluster that outlives a run; for its workers the tasks' module is importable."""
+    import ray
+
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    environment = {"env_vars": {"PYTHONPATH": path}}
+    ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False, runtime_env=environment)
+    yield
+    ray.shutdown()
+
+
+@pytest.fixture(scope="session")
+def contents(decided: Callable) -> Callable[[Any], dict[str, str]]:
+    """Return a function: a data set to all that its seed decides, and its description but for place and workers."""
+
+    def find(root: Any) -> dict[str, str]:
+        info = json.loads((root / "dataset.json").read_bytes())
+        for free in ("output", "engine", "workers"):
+            del info["config"]["dataset"][free]
+        return decided(root) | {"info": json.dumps(info)}
+
+    return find

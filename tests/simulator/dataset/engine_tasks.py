@@ -64,6 +64,8 @@ def leave(task: tuple[int, str]) -> int:
                 raise InputError("scene", "SystemExit") from error
         if way == "os._exit":
             os._exit(number // 2)
+        if way == "MemoryError":
+            raise MemoryError
         if way == "abort":
             os.abort()
         if way == "segfault":
@@ -124,3 +126,20 @@ def initializer_that_breaks() -> None:
 
 def initializer_that_dies() -> None:
     os._exit(3)
+
+
+class SlowToImport:
+    """A stand-in for a function of a module whose import takes a second."""
+
+    def __call__(self, task: int) -> int:
+        return task
+
+    def __reduce__(self) -> tuple:
+        return slow_import, ()
+
+
+def slow_import() -> SlowToImport:
+    if "slow" not in STATE:
+        time.sleep(1)
+        STATE["slow"] = "imported"
+    return SlowToImport()

@@ -139,17 +139,24 @@ def test_our_card_is_sealed_and_the_user_s_is_not(dataset: Path) -> None:
     assert verify(dataset).notes == ()
     assert verify(dataset).ok
     whole = path.read_text()
-    path.write_text(f"{whole[:50]} changed {whole[50:]}")
-    (problem,) = verify(dataset).problems
-    assert problem.startswith(f"{path}: ")
-    for own in ("", "my notes", whole.replace(OUR_CARD, ""), f"{whole}more", f"x{OUR_CARD}\n"):
+    # Also where the last line is damaged, by which a run knows it for ours: until a run has sealed it as the user's.
+    changed = (f"{whole[:50]} changed {whole[50:]}", "", whole[:10], whole.replace(OUR_CARD, ""), f"{whole}more")
+    for text in (*changed, whole.replace("flatlight card", "flatlight cord")):
+        path.write_text(text)
+        (problem,) = verify(dataset).problems
+        assert problem.startswith(f"{path}: ")
+    for own in ("my notes", whole.replace(OUR_CARD, ""), f"{whole}more", f"x{OUR_CARD}\n"):
         path.write_text(own)
         assert not is_our_card(path)
+        if own.startswith("---"):
+            write_seal(dataset)
         report = verify(dataset)
         assert report.ok, report.problems
         assert [line.split(":")[0] for line in report.notes] == [CARD]
         write_seal(dataset)
         assert CARD not in (read_seal(dataset) or {})
+        path.write_text(whole)
+        write_seal(dataset)
     path.write_text(OUR_CARD)
     assert is_our_card(path)
     path.unlink()

@@ -48,18 +48,6 @@ def engine(request: pytest.FixtureRequest, tasks: ModuleType) -> str:
     return request.param
 
 
-@pytest.fixture(scope="module")
-def ray_cluster() -> Iterator[None]:
-    """A cluster that outlives a run; for its workers the tasks' module is importable."""
-    import ray
-
-    path = os.pathsep.join([str(HERE), *sys.path])
-    environment = {"env_vars": {"PYTHONPATH": path}}
-    ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False, runtime_env=environment)
-    yield
-    ray.shutdown()
-
-
 def by_task(outcomes: Iterator[Outcome]) -> dict:
     listed = list(outcomes)
     result = {outcome.task: outcome for outcome in listed}
@@ -119,7 +107,7 @@ def test_a_task_that_always_kills_its_worker_is_given_up(engine: str, tasks: Mod
     assert found[3].attempts == 3
 
 
-LEAVES = ["sys.exit", "named", "KeyboardInterrupt", "GeneratorExit"]
+LEAVES = ["sys.exit", "named", "KeyboardInterrupt", "GeneratorExit", "MemoryError"]
 CRASHES = {"os._exit": "exit code", "abort": "SIGABRT", "segfault": "SIGSEGV"}
 
 
@@ -173,6 +161,11 @@ def test_a_task_that_takes_too_long_is_stopped_three_times(engine: str, tasks: M
     assert "not finished after 0.4 s" in str(found[30.0].error)
     assert {task: outcome.attempts for task, outcome in found.items()} == {30.0: 3, 0.0: 1, 0.01: 1, 0.02: 1}
     assert [found[task].error for task in (0.0, 0.01, 0.02)] == [None] * 3
+
+
+def test_the_import_of_a_function_is_not_its_first_task_s_time(tasks: ModuleType) -> None:
+    (outcome,) = run("local", tasks.SlowToImport(), [3], workers=1, timeout_s=0.5)
+    assert (outcome.value, outcome.attempts) == (3, 1)
 
 
 def test_an_initializer_that_hangs_ends_the_run(tasks: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,19 +32,6 @@ SLOW = {"family": "./plugins.py:boxes", "size": [16, 20]}
 
 
 @pytest.fixture(scope="module")
-def contents(decided: Callable) -> Callable[[Path], dict[str, str]]:
-    """Everything in a data set that the seed decides, with what its description says but for place and workers."""
-
-    def find(root: Path) -> dict[str, str]:
-        info = json.loads((root / "dataset.json").read_text())
-        for free in ("output", "engine", "workers"):
-            del info["config"]["dataset"][free]
-        return decided(root) | {"info": json.dumps(info)}
-
-    return find
-
-
-@pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable) -> Path:
     """A data set made without any disturbance; not to be changed."""
     return make_trial(tmp_path_factory.mktemp("undisturbed")).generate()
@@ -71,14 +58,6 @@ def test_a_finished_set_verifies_and_its_layout_is_the_documented_one(finished: 
     description = json.loads((finished / "train/0000/s00000001/sample.json").read_text())
     for name, digest in description["files"].items():
         assert hashlib.sha256((finished / "train/0000/s00000001" / name).read_bytes()).hexdigest() == digest
-
-
-@pytest.mark.parametrize(
-    ("engine", "workers"), [("inline", 1), ("local", 2), pytest.param("ray", 2, marks=pytest.mark.slow)]
-)
-def test_same_seed_same_bytes_whatever_the_workers(trial, finished: Path, engine: str, workers: int, contents) -> None:
-    again = trial.generate(dataset={"engine": engine, "workers": workers})
-    assert contents(again) == contents(finished)
 
 
 def test_raising_counts_keeps_what_was_there(trial, contents) -> None:

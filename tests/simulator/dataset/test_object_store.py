@@ -43,9 +43,8 @@ def written(trial, root: StorePath, **changes: object) -> Path:
     return path
 
 
-@pytest.mark.parametrize("engine", ["inline", "local", pytest.param("ray", marks=pytest.mark.slow)])
-def test_the_bytes_of_a_folder(trial, root: StorePath, local: Path, decided, engine: str) -> None:
-    path = written(trial, root, engine=engine, workers=2)
+def test_a_data_set_in_a_store(trial, root: StorePath, local: Path, decided) -> None:
+    path = written(trial, root)
     result = generate(path)
     assert (result.path, result.made, result.failed, result.missing) == (root, 10, (), 0)
     assert decided(root) == decided(local)

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
-import numpy as np
 import pytest
 
 from simulator.dataset.checksums import CHECKSUMS, write_seal
@@ -226,37 +225,6 @@ def test_a_seal_speaks_of_its_data_set_only(dataset: Path, monkeypatch: pytest.M
     write_seal(dataset)
     (problem,) = verify(dataset).problems
     assert problem.startswith(f"{dataset / CHECKSUMS}: ")
-
-
-@pytest.mark.slow
-def test_no_flipped_bit_passes(samples: ModuleType, tmp_path: Path) -> None:
-    """300 of them, one at a time, in every kind of file alike."""
-    root = samples.make_dataset(tmp_path / "set", lambda index: samples.make_clip_sample(index, frames=2))
-    with SkippedWriter(root) as skipped:
-        skipped.append("train", 3, "clip.webm is truncated")
-    shutil.copytree(root / "psf", root / "psf_captured")
-    for name in ("failed.jsonl", "source_problems.txt", "contact_sheet.png"):
-        (root / name).write_text("3.webm: has no frames")
-    edit(root / "dataset.json", counts={"train": 4, "validation": 1})
-    write_seal(root)
-    assert verify(root).ok
-    files = sorted(path for path in root.rglob("*") if path.is_file())
-    kinds = {re.sub(r"\d+", "N", f"{path.parent.name}/{path.name}"): path for path in files}
-    assert len(kinds) == 15
-    rng = np.random.default_rng(5)
-    missed = []
-    for number in range(300):
-        path = list(kinds.values())[number % len(kinds)]
-        whole = path.read_bytes()
-        bit = int(rng.integers(8 * len(whole)))
-        flipped = bytearray(whole)
-        flipped[bit // 8] ^= 1 << bit % 8
-        path.write_bytes(flipped)
-        if verify(root).ok:
-            missed.append((path, bit))
-        path.write_bytes(whole)
-    assert missed == []
-    assert verify(root).ok
 
 
 def exchange(one: Path, other: Path) -> None:
