@@ -10,12 +10,13 @@ import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from itertools import chain, pairwise
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from simulator.dataset.sample import SPLITS, SampleRecord, sample_id, sample_index
 from simulator.errors import InputError
-from simulator.io.files import read_errors, remove_folder, write_atomic
+from simulator.io.files import read_errors, refuse_link, remove_folder, write_atomic
 from simulator.io.lines import AppendedLines, StoredLines, line_of, read_lines
 from simulator.io.store import Place, StorePath, place
 
@@ -215,9 +216,16 @@ def _lines(root: Place, name: str) -> Iterator[tuple[tuple[Place, int], bytes]]:
 
 
 def writers_files(root: Place, name: str) -> list[Place]:
-    """Return the files of a list that writers of their own have not merged yet."""
-    with read_errors(root / WRITERS):
-        return sorted((root / WRITERS).glob(f"*/{name.removesuffix('.jsonl')}*.jsonl"))
+    """Return the files of a list that writers of their own have not merged yet.
+
+    Raises:
+        InputError: they cannot be read, or a folder of theirs is a link.
+    """
+    writers = root / WRITERS
+    with read_errors(writers):
+        for folder in writers.iterdir() if isinstance(writers, Path) and writers.is_dir() else ():
+            refuse_link(folder)
+        return sorted(writers.glob(f"*/{name.removesuffix('.jsonl')}*.jsonl"))
 
 
 class _MergedError(Exception):

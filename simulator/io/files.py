@@ -313,6 +313,19 @@ def not_plain(root: Place) -> Iterator[Path]:
                     yield Path(entry.path)
 
 
+def refuse_link(path: Place) -> None:
+    """Refuse a link in a data set, through which something outside would be read.
+
+    Raises:
+        InputError: it is one.
+    """
+    if path.is_symlink():
+        raise InputError(
+            path,
+            "a link, which is not followed: put a copy of what it leads to there (cp -rL follows links), or remove it",
+        )
+
+
 def sha256_bytes(data: bytes) -> str:
     """Return the SHA-256 of some bytes in hexadecimal."""
     return hashlib.sha256(data).hexdigest()
@@ -332,7 +345,7 @@ MAX_BYTES = 16 << 20
 
 
 def read_limited(path: Place, holds: str, max_bytes: int = MAX_BYTES) -> bytes:
-    """Return the content of a file that somebody else may have made: nothing larger is read, and no pipe is waited for.
+    """Return the content of a file that somebody else may have made: no link is followed, no pipe waited for.
 
     ``holds``, ``max_bytes``: as `read_text`.
 
@@ -340,9 +353,9 @@ def read_limited(path: Place, holds: str, max_bytes: int = MAX_BYTES) -> bytes:
         InputError: when it cannot be read, is not a file or too large.
     """
     with read_errors(path):
-        size = size_of(path)
-        if isinstance(path, Path) and not stat.S_ISREG(path.stat().st_mode):
+        if isinstance(path, Path) and not stat.S_ISREG(path.lstat().st_mode):
             raise InputError(path, f"not a file, expected {holds}")
+        size = size_of(path)
         if size > max_bytes:
             raise InputError(path, f"larger than {max_bytes >> 10} KiB, expected {holds}; restore it from a copy")
         with path.open("rb") as file:

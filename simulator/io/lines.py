@@ -34,16 +34,20 @@ def read_lines(path: Place) -> Iterator[bytes]:
     """
     with read_errors(path):
         try:
-            if isinstance(path, Path) and not stat.S_ISREG(path.stat().st_mode):
-                raise InputError(path, "not a file, expected lines of JSON")  # to open a pipe would be to wait
+            if isinstance(path, Path) and not stat.S_ISREG(path.lstat().st_mode):
+                raise InputError(path, "not a file, expected lines of JSON")  # a link leads out; a pipe would block
             file = path.open("rb")
         except FileNotFoundError:
             return
         with file:
             while line := file.readline(_LONGEST):
                 if len(line) == _LONGEST:
-                    raise InputError(path, f"has a line of more than {_LONGEST >> 20} MiB, expected lines of JSON")
+                    raise _too_long(path)
                 yield line
+
+
+def _too_long(path: Place) -> InputError:
+    return InputError(path, f"has a line of more than {_LONGEST >> 20} MiB, expected lines of JSON")
 
 
 class AppendedLines:
@@ -57,14 +61,18 @@ class AppendedLines:
         """Open the file (made when missing), take its lock and cut a torn last line.
 
         Raises:
-            InputError: another process is writing to it.
+            InputError: another process is writing to it, or it holds something else.
             StorageError: the folder cannot be written to.
         """
         self.path = path
         self._descriptor, self.locked = open_locked(path)
-        with storage_errors(path):
-            self._size = _end_of_last_line(self._descriptor)
-            os.ftruncate(self._descriptor, self._size)
+        try:
+            with storage_errors(path):
+                self._size = _end_of_last_line(self._descriptor, path)
+                os.ftruncate(self._descriptor, self._size)
+        except BaseException:
+            self.close()
+            raise
 
     def append_line(self, content: Mapping[str, Any]) -> None:
         """Add one line and wait until it is on the disk.
@@ -170,10 +178,12 @@ def open_locked(path: Path, *, shared: bool = False, wait: bool = False) -> tupl
         os.close(descriptor)
 
 
-def _end_of_last_line(descriptor: int) -> int:
+def _end_of_last_line(descriptor: int, path: Path) -> int:
     size = os.fstat(descriptor).st_size
     end, step = size, 4096
     while end > 0:
+        if size - end > _LONGEST:
+            raise _too_long(path)
         start = max(0, end - step)
         found = os.pread(descriptor, end - start, start).rfind(b"\n")
         if found >= 0:

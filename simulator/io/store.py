@@ -285,7 +285,11 @@ def _obstore(module: str = "obstore") -> Any:
 
 @contextmanager
 def _os_errors() -> Iterator[None]:
-    """Turn what obstore raises into the ``OSError`` that the same on a disk would be."""
+    """Turn what obstore raises into the ``OSError`` that the same on a disk would be.
+
+    Raises:
+        InputError: a listing has names that would lead elsewhere.
+    """
     known = _obstore("obstore.exceptions")
     try:
         yield
@@ -295,6 +299,10 @@ def _os_errors() -> Iterator[None]:
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from error
     except (known.PermissionDeniedError, known.UnauthenticatedError) as error:
         raise PermissionError(errno.EACCES, _first_line(error)) from error
+    except known.InvalidPathError as error:
+        raise InputError(
+            "object store", f"holds a name that is not one of a file: {_first_line(error)}; remove that object"
+        ) from error
     except known.BaseError as error:
         raise OSError(errno.EIO, _first_line(error)) from error
 
