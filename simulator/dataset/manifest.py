@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import chain, pairwise
 from pathlib import Path
@@ -223,8 +224,9 @@ def writers_files(root: Place, name: str) -> list[Place]:
     """
     writers = root / WRITERS
     with read_errors(writers):
-        for folder in writers.iterdir() if isinstance(writers, Path) and writers.is_dir() else ():
-            refuse_link(folder)
+        with suppress(FileNotFoundError, NotADirectoryError):  # also where they are merged meanwhile
+            for folder in writers.iterdir() if isinstance(writers, Path) else ():
+                refuse_link(folder)
         return sorted(writers.glob(f"*/{name.removesuffix('.jsonl')}*.jsonl"))
 
 
