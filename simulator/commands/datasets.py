@@ -135,6 +135,8 @@ def _tell(result: GenerateResult) -> None:
     print(f"{result.made} samples made in {result.seconds:.0f} s{kept}: {result.path}")
     if result.missing:
         print(f"left to other shards: {result.missing}; flatlight status {result.path} says more")
+    elif not result.sealed:
+        print("all samples are there; the same command without --shard, once no shard is at work, seals the data set")
     elif result.made + result.kept:
         print(f"look at {result.path / REPORT}")
     if result.problems:

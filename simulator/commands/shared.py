@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
@@ -22,8 +23,9 @@ def check_output_file(option: str, path: Path, suffixes: tuple[str, ...]) -> Non
     ``suffixes``: what its name may end in, in lower case.
 
     Raises:
-        InputError: another suffix, a folder of that name, or no folder to write into.
+        InputError: an address, another suffix, a folder of that name, or no folder to write into.
     """
+    _refuse_address(option, path)
     if path.suffix.lower() not in suffixes:
         raise InputError(option, f"got {path.name!r}, expected a name that ends in {' or '.join(suffixes)}")
     if path.is_dir():
@@ -36,11 +38,17 @@ def check_output_folder(option: str, folder: Path) -> None:
     """Refuse a folder that could not be made; missing ones above it are made with it.
 
     Raises:
-        InputError: a part of the path is a file.
+        InputError: an address, or a part of the path is a file.
     """
+    _refuse_address(option, folder)
     above = next(place for place in folder.absolute().parents if place.exists())
     if not above.is_dir():
         raise InputError(option, f"{folder} cannot be made, {above} is a file; choose another folder")
+
+
+def _refuse_address(option: str, path: Path) -> None:
+    if re.match(r"[a-z][a-z0-9]+:/", str(path)):
+        raise InputError(option, f"got the address {str(path)!r}, expected a place on this machine")
 
 
 def check_distinct(places: Mapping[str, Path | None]) -> None:

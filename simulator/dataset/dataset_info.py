@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,10 @@ from numpy.typing import NDArray
 
 from simulator.camera.shutter import KINDS, Shutter, shutter_from_record, shutter_record
 from simulator.dataset.fingerprint import deciding, difference, hash_parts
-from simulator.dataset.sample import SPLITS
+from simulator.dataset.sample import MOST_SAMPLES, SPLITS
 from simulator.errors import InputError
 from simulator.io.exr import MAX_VALUES
-from simulator.io.files import read_limited, write_atomic
+from simulator.io.files import read_errors, read_limited, refuse_link, write_atomic
 from simulator.io.json import parse_json, plain, readable_json
 from simulator.io.store import Place, place
 from simulator.settings import fields_from
@@ -86,8 +87,10 @@ class DatasetInfo:
             _expect(name, isinstance(getattr(self, name), dict), "a dict", getattr(self, name))
         hexadecimal = len(self.fingerprint) == 64 and set(self.fingerprint) <= set("0123456789abcdef")
         _expect("fingerprint", hexadecimal, "64 hexadecimal digits", self.fingerprint)
-        counts_fit = all(split in SPLITS and _whole(count, 0) for split, count in self.counts.items())
-        _expect("counts", counts_fit, f"whole numbers for {', '.join(SPLITS)}", self.counts)
+        counts_fit = all(
+            split in SPLITS and _whole(count, 0) and count <= MOST_SAMPLES for split, count in self.counts.items()
+        )
+        _expect("counts", counts_fit, f"whole numbers up to {MOST_SAMPLES} for {', '.join(SPLITS)}", self.counts)
         for name in ("scene_shape", "sensor_shape"):
             shape = getattr(self, name)
             fits = isinstance(shape, tuple) and len(shape) == 2 and all(_whole(size, 1) for size in shape)
@@ -139,7 +142,7 @@ def read_info(root: Place | str) -> DatasetInfo:
     """Read ``dataset.json`` from the folder ``root``.
 
     Raises:
-        InputError: no such folder, not a data set, made by a newer version, or a damaged file.
+        InputError: no such folder, not a data set, one with links in it, made by a newer version, or a damaged file.
     """
     root = place(root)
     path = root / FILE
@@ -147,6 +150,11 @@ def read_info(root: Place | str) -> DatasetInfo:
         raise InputError(root, "no such folder; give the folder that `flatlight generate` wrote (dataset.output)")
     if not path.is_file():
         raise InputError(root, f"not a data set: it has no {FILE}; give the folder that `flatlight generate` wrote")
+    if isinstance(root, Path):
+        with read_errors(root):
+            paths = sorted(root.iterdir())
+        for one in paths:
+            refuse_link(one)
     data = read_limited(path, "the description of a data set")
     try:
         content = parse_json(data)

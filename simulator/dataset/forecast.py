@@ -38,7 +38,7 @@ class Forecast:
     """
 
     def __init__(self, root: Place, left: int) -> None:
-        """Begin for a data set of which so many samples are still to be made, by whoever makes them."""
+        """Begin for a run that is to make so many samples."""
         self._root, self._left = root, left
         self._bytes = self.measured = 0
 

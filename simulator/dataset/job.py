@@ -24,8 +24,8 @@ from simulator.dataset.manifest import (
     FailedWriter,
     ManifestWriter,
     SkippedWriter,
+    accounted_samples,
     finished_samples,
-    load_failed,
     load_skipped,
     merge_lists,
 )
@@ -43,7 +43,7 @@ from simulator.dataset.problems import list_problems
 from simulator.dataset.reader import all_metadata
 from simulator.dataset.recipe import make_sample, perform
 from simulator.dataset.repair import take_out_bad
-from simulator.dataset.sample import sample_folder, sample_id, sample_index
+from simulator.dataset.sample import sample_folder, sample_id
 from simulator.dataset.shards import Shard, alone, sharing
 from simulator.errors import InputError
 from simulator.io.files import StorageError, remove_leftovers
@@ -70,6 +70,8 @@ class GenerateResult:
         skipped: one line per sample that this run or one before left out for good: id and reason.
         problems: lines about what the source cannot use.
         missing: samples of the data set that other shards have not made yet.
+        sealed: whether the data set is complete by this run; a shard leaves the seal to the last one, and where nothing tells
+            it who that is, as in object stores, to a run without ``shard``.
     """
 
     path: Place
@@ -80,6 +82,7 @@ class GenerateResult:
     skipped: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
     missing: int = 0
+    sealed: bool = True
 
 
 def generate(
@@ -133,7 +136,9 @@ def generate(
     skipped = tuple(f"{split}/{name}: {reason}" for (split, name), reason in load_skipped(plan.root).items())
     seconds = time.perf_counter() - begin
     failed = tuple(sorted(job.failed))
-    return GenerateResult(plan.root, job.made, job.kept, failed, seconds, skipped, plan.problems, job.missing)
+    return GenerateResult(
+        plan.root, job.made, job.kept, failed, seconds, skipped, plan.problems, job.missing, job.sealed
+    )
 
 
 def _repair(plan: Plan, shard: Shard | None, progress: Report, say: Say) -> None:
@@ -164,6 +169,7 @@ class _Job:
     made: int = 0
     kept: int = 0
     missing: int = 0
+    sealed: bool = False
     failed: list[str] = field(default_factory=list)
 
     def run(self) -> None:
@@ -183,7 +189,8 @@ class _Job:
                     return
                 info = self._beside_others()
                 with alone(root) as manifest:
-                    if manifest is not None and not self.missing:
+                    # A shard that cannot know whether others are at work leaves the end to a run without --shard.
+                    if manifest is not None and (self.shard is None or (manifest.locked and not self.missing)):
                         self._end(info, manifest.locked)
 
     def _is_complete(self, existing: DatasetInfo) -> bool:
@@ -192,13 +199,14 @@ class _Job:
         hashes = read_seal(root)
         if hashes is None or existing != described_anew(plan, existing) or next(changed_files(root, hashes), None):
             return False
-        finished, skipped = finished_samples(root), load_skipped(root)
+        finished, there = finished_samples(root), accounted_samples(root)
         self.kept = sum(1 for split, index in self._wanted() if index in finished[split])
-        there = self.kept + sum(1 for split, name in skipped if self._is_ours(split, name))
-        total = sum(1 for _ in self._wanted())
-        if there == total:
-            self.progress("samples", there, total)
-        return there == total
+        complete = all(index in there[split] for split, index in self._wanted())
+        if complete:
+            self.sealed = True
+            total = sum(1 for _ in self._wanted())
+            self.progress("samples", total, total)
+        return complete
 
     def _beside_others(self) -> DatasetInfo:
         """Make the samples of a shard, and count what other shards have not made when it ends."""
@@ -215,9 +223,9 @@ class _Job:
                 if info.counts != self.plan.counts:
                     raise InputError("dataset", f"{root} is being made with other counts, {info.counts}; wait for it")
                 self._samples(info, own)
-            finished = finished_samples(root)
-            told = len(load_skipped(root)) + len(load_failed(root))
-            self.missing = max(0, sum(self.plan.counts.values()) - sum(map(len, finished.values())) - told)
+            there = accounted_samples(root, failed=True)
+            every = ((split, index) for split, count in self.plan.counts.items() for index in range(count))
+            self.missing = sum(1 for split, index in every if index not in there[split])
             return info
 
     def _begin(self, locked: bool) -> DatasetInfo:
@@ -245,23 +253,21 @@ class _Job:
         if self.made + self.kept:
             self.finish(root)
         write_seal(root)
+        self.sealed = True
 
     def _samples(self, info: DatasetInfo, manifest: ManifestWriter) -> None:
         """Make what the manifest lacks; a failed sample is reported and does not stop the others."""
         root, chosen = self.plan.root, self.plan.config.dataset
         recipe = replace(self.plan.recipe, full_scale=float(info.exposure["full_scale"]))
-        finished, skipped = finished_samples(root), load_skipped(root)
-        there = list(islice(((split, index) for split in finished for index in finished[split]), ENOUGH))
-        for split, name in skipped:
-            finished[split].add(sample_index(name))
+        finished, there = finished_samples(root), accounted_samples(root)
         total = sum(1 for _ in self._wanted())
-        count = sum(1 for split, index in self._wanted() if index not in finished[split])
-        self.kept = total - count - sum(1 for split, name in skipped if self._is_ours(split, name))
+        count = sum(1 for split, index in self._wanted() if index not in there[split])
+        self.kept = sum(1 for split, index in self._wanted() if index in finished[split])
         if self.shard is None:
             (root / FAILED).unlink(missing_ok=True)
-        tasks = ((root, split, index) for split, index in self._wanted() if index not in finished[split])
-        forecast = Forecast(root, sum(self.plan.counts.values()) - sum(map(len, finished.values())))
-        for split, index in there:
+        tasks = ((root, split, index) for split, index in self._wanted() if index not in there[split])
+        forecast = Forecast(root, count)
+        for split, index in islice(((name, number) for name in finished for number in finished[name]), ENOUGH):
             self._measure(forecast, split, index)
         passed_over = 0
         self.progress("samples", total - count, total)

@@ -12,12 +12,13 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import chain, pairwise
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from simulator.dataset.sample import SPLITS, SampleRecord, sample_id, sample_index
 from simulator.errors import InputError
-from simulator.io.files import read_errors, remove_folder, write_atomic
+from simulator.io.files import read_errors, refuse_link, remove_file, remove_folder, write_atomic
 from simulator.io.lines import AppendedLines, StoredLines, line_of, read_lines
 from simulator.io.store import Place, StorePath, place
 
@@ -154,6 +155,20 @@ def finished_samples(root: Place | str) -> dict[str, set[int]]:
     return survey(root).finished
 
 
+def accounted_samples(root: Place | str, *, failed: bool = False) -> dict[str, set[int]]:
+    """Return the numbers of the samples that are finished or were left out for good, by split; each counts once.
+
+    ``failed``: those, too, that could not be made; another run tries them again.
+
+    Raises:
+        InputError: see `load_manifest`.
+    """
+    found = finished_samples(root)
+    for split, name in [*load_skipped(root), *(load_failed(root) if failed else ())]:
+        found[split].add(sample_index(name))
+    return found
+
+
 def load_skipped(root: Place | str) -> dict[Key, str]:
     """Return why samples were left out, by (split, id) in order; empty without a list.
 
@@ -165,7 +180,7 @@ def load_skipped(root: Place | str) -> dict[Key, str]:
 
 
 def load_failed(root: Place | str) -> dict[Key, FailedSample]:
-    """Return the samples that could not be made and are not finished since; errors as `load_skipped`."""
+    """Return the samples that could not be made, and were neither made nor left out since; errors as `load_skipped`."""
     root = place(root)
 
     def is_failure(content: dict[str, Any]) -> bool:
@@ -174,12 +189,12 @@ def load_failed(root: Place | str) -> dict[Key, FailedSample]:
     found = _by_sample(root, FAILED, is_failure, "id, split, reason, attempts, traceback")
     if not found:
         return {}
-    finished = finished_samples(root)
+    since = accounted_samples(root)
     names = ("reason", "attempts", "traceback")
     return {
         key: FailedSample(*(content[name] for name in names))
         for key, content in found.items()
-        if sample_index(key[1]) not in finished[key[0]]
+        if sample_index(key[1]) not in since[key[0]]
     }
 
 
@@ -249,9 +264,17 @@ def _lines(root: Place, name: str) -> Iterator[tuple[tuple[Place, int], bytes]]:
 
 
 def writers_files(root: Place, name: str) -> list[Place]:
-    """Return the files of a list that writers of their own have not merged yet."""
-    with read_errors(root / WRITERS):
-        return sorted((root / WRITERS).glob(f"*/{name.removesuffix('.jsonl')}*.jsonl"))
+    """Return the files of a list that writers of their own have not merged yet.
+
+    Raises:
+        InputError: they cannot be read, or a folder of theirs is a link.
+    """
+    writers = root / WRITERS
+    with read_errors(writers):
+        with suppress(FileNotFoundError, NotADirectoryError):  # also where they are merged meanwhile
+            for folder in writers.iterdir() if isinstance(writers, Path) else ():
+                refuse_link(folder)
+        return sorted(writers.glob(f"*/{name.removesuffix('.jsonl')}*.jsonl"))
 
 
 class _MergedError(Exception):
@@ -409,6 +432,8 @@ def merge_lists(root: Place, *, skip_bad: bool = False) -> None:
         if found:
             lines = (line_of({"id": key[1], "split": key[0]} | content) for key, content in found.items())
             write_atomic(root / name, b"".join(lines))
+        elif (root / name).exists():
+            remove_file(root / name)  # what failed was made since
     remove_folder(root / WRITERS)
 
 

@@ -21,11 +21,20 @@ from simulator.dataset.manifest import (
     load_skipped,
     merge_lists,
 )
-from simulator.dataset.sample import DESCRIPTION, SPLITS, SampleRecord, read_description, sample_folder, sample_index
+from simulator.dataset.sample import (
+    DESCRIPTION,
+    SPLITS,
+    SampleRecord,
+    read_description,
+    sample_folder,
+    sample_index,
+    stored_folder,
+)
 from simulator.dataset.shards import alone, sharing
 from simulator.dataset.verification import check_sample
 from simulator.errors import InputError
-from simulator.io.files import committed_folder, read_errors, storage_errors, write_atomic
+from simulator.io.exr import MAX_FILE_BYTES
+from simulator.io.files import committed_folder, read_limited, storage_errors, write_atomic
 from simulator.io.store import Place, place
 from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, read_psf_stack, write_psf_stack
 
@@ -160,17 +169,16 @@ def _take_samples(
         if (split, name) not in known:
             with SkippedWriter(manifest.folder) as skipping:
                 skipping.append(split, sample_index(name), reason)
-    missing = sum(info.counts.values()) - len(digests) - len(skipped.keys() | known.keys())
+    missing = sum(info.counts.values()) - len(digests.keys() | skipped.keys() | known.keys())
     return MergeResult(root, taken, len(there), tuple(problems), max(0, missing))
 
 
 def _copy(folder: Place, root: Place, entry: Entry) -> None:
     """Copy a sample whose files were checked."""
-    own = sample_folder(folder, entry.split, sample_index(entry.id))
+    own = stored_folder(folder, entry.split, entry.id)
     names = [DESCRIPTION, *read_description(own)[0]["files"]]
     with committed_folder(sample_folder(root, entry.split, sample_index(entry.id)), DESCRIPTION) as made:
         for name in names:
-            with read_errors(own / name):
-                data = (own / name).read_bytes()
+            data = read_limited(own / name, "a file of a sample", MAX_FILE_BYTES)
             (made / name).parent.mkdir(exist_ok=True)
             write_atomic(made / name, data)

@@ -19,6 +19,7 @@ from simulator.dataset.sample import (
     read_description,
     sample_folder,
     sample_index,
+    stored_folder,
 )
 from simulator.errors import InputError
 from simulator.io.store import Place, place
@@ -106,7 +107,8 @@ class Dataset(Sequence[Sample]):
             IndexError: no such position.
             InputError: the sample's ``sample.json`` is missing or damaged.
         """
-        folder = self.folder(position)
+        self.folder(position)
+        folder = stored_folder(self.root, self.split, self.ids[position])
         if not folder.is_dir():
             raise InputError(
                 folder, f"in the manifest but not on disk; `flatlight verify {self.root}` lists all faults"
@@ -175,7 +177,7 @@ def all_metadata(root: Place | str, most: int | None = None) -> Iterator[dict[st
     for at in spread_positions(len(samples), len(samples) if most is None else most):
         split, name = samples[at]
         with suppress(InputError):
-            yield read_description(sample_folder(place(root), split, sample_index(name)))[0]["metadata"]
+            yield read_description(stored_folder(place(root), split, name))[0]["metadata"]
 
 
 def spread_positions(length: int, count: int) -> list[int]:

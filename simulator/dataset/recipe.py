@@ -25,8 +25,18 @@ from simulator.config import Config
 from simulator.config.schema import DatasetConfig
 from simulator.dataset.clips import ClipOrder, check_clip, clip_order, durations_s
 from simulator.dataset.engines import Outcome, available_cpus, run
-from simulator.dataset.sample import Sample, SampleRecord, write_sample
-from simulator.io.store import Place
+from simulator.dataset.sample import (
+    DESCRIPTION,
+    Sample,
+    SampleRecord,
+    digest_of,
+    read_description,
+    sample_folder,
+    sample_id,
+    write_sample,
+)
+from simulator.io.files import sha256_bytes
+from simulator.io.store import Place, StorePath
 from simulator.optics.stack_files import read_psf_stack
 from simulator.plugins import plugin_errors
 from simulator.seeds import generator
@@ -146,6 +156,18 @@ class SampleMaker:
             surroundings=None if truth.surroundings is None else truth.surroundings.within(FARTHEST_M),
         )
 
+    def stored(self, root: StorePath, split: str, index: int) -> SampleRecord | None:
+        """Return the record of a sample that a writer finished in a store, but died before it told; None without one."""
+        folder = sample_folder(root, split, index)
+        if not (folder / DESCRIPTION).is_file():
+            return None
+        described, data = read_description(folder)
+        made_with = described["seed"], described["metadata"].get("psf"), described["metadata"].get("full_scale")
+        if made_with != (self._seed, self._stack.fingerprint, self._sensor.full_scale):
+            return None  # writing it anew will say so
+        digest = digest_of(described["files"] | {DESCRIPTION: sha256_bytes(data)})
+        return SampleRecord(sample_id(index), split, digest, self._seed, described["label"])
+
 
 def scene_clip(source: SceneSource, seed: int, split: str, index: int, order: ClipOrder | None = None) -> Clip:
     """Return the clip that a sample shows, drawn from the sample's own generator.
@@ -194,10 +216,12 @@ def make_sample(task: tuple[Place, str, int]) -> tuple[SampleRecord, tuple[float
     """Make and write one sample; ``task`` is (data set, split, index).
 
     Returns:
-        Its record, and the seconds that each of `simulator.dataset.manifest.STAGES` took.
+        Its record, and the seconds that each of `simulator.dataset.manifest.STAGES` took; none where it was there.
     """
     assert _maker is not None
     root, split, index = task
+    if isinstance(root, StorePath) and (record := _maker.stored(root, split, index)) is not None:
+        return record, ()
     begin = time.perf_counter()
     sample = _maker.sample(split, index)
     made = time.perf_counter()

@@ -17,9 +17,10 @@ from simulator.dataset.manifest import Key, load_manifest
 from simulator.dataset.plan import make_plan
 from simulator.dataset.preparation import cpu_level, reason_of
 from simulator.dataset.recipe import Recipe, make_sample, perform
-from simulator.dataset.sample import DESCRIPTION, StoredSample, read_description, sample_folder, sample_index
+from simulator.dataset.sample import DESCRIPTION, StoredSample, read_description, sample_index, stored_folder
 from simulator.errors import InputError
-from simulator.io.files import read_errors
+from simulator.io.exr import MAX_FILE_BYTES
+from simulator.io.files import read_limited
 from simulator.io.store import Place, place
 from simulator.optics.stack_files import PSF_FOLDER
 
@@ -183,8 +184,8 @@ def _recipe(root: Place, info: DatasetInfo, config: Config, progress: Report) ->
 
 
 def _compared(root: Place, made: Path, key: Key, may_differ: bool) -> Regenerated:
-    folders = [sample_folder(top, key[0], sample_index(key[1])) for top in (root, made)]
     try:
+        folders = [stored_folder(top, *key) for top in (root, made)]
         if _files(folders[0]) == _files(folders[1]):
             return Regenerated(key, True, 0.0, "")
         stored, again = (StoredSample(folder).sample() for folder in folders)
@@ -205,8 +206,7 @@ def _files(folder: Place) -> dict[str, bytes]:
     description, data = read_description(folder)
     found = {DESCRIPTION: data}
     for name in description["files"]:
-        with read_errors(folder / name):
-            found[name] = (folder / name).read_bytes()
+        found[name] = read_limited(folder / name, "a file of a sample", MAX_FILE_BYTES)
     return found
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 from simulator.io.clips import TRUTH, describe_extras, frame_channels, frame_extras, layout_channels
 from simulator.io.exr import MAX_FILE_BYTES, decode_exr, write_exr
-from simulator.io.files import committed_folder, read_limited, sha256_bytes, write_atomic
+from simulator.io.files import committed_folder, read_limited, refuse_link, sha256_bytes, write_atomic
 from simulator.io.json import are_names, check_keys, parse_json, plain, readable_json
 from simulator.io.store import Place, place
 from simulator.types import Clip, Surroundings
@@ -115,7 +115,7 @@ def _are_edges(edges_s: Any, frames: int) -> bool:
 
 
 SPLITS = ("train", "validation", "test")
-_LAST_INDEX = 99_999_999  # ids have eight digits, so that names sort
+MOST_SAMPLES = 100_000_000  # of a split: ids have eight digits, so that names sort
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,8 +255,8 @@ def sample_id(index: int) -> str:
         >>> sample_id(12)
         's00000012'
     """
-    if not 0 <= index <= _LAST_INDEX:
-        raise InputError("index", f"expected 0 to {_LAST_INDEX}, got {index}")
+    if not 0 <= index < MOST_SAMPLES:
+        raise InputError("index", f"expected 0 to {MOST_SAMPLES - 1}, got {index}")
     return f"s{index:08d}"
 
 
@@ -283,6 +283,18 @@ def sample_folder(root: Place, split: str, index: int) -> Place:
     if split not in SPLITS:
         raise InputError("split", f"expected one of {', '.join(SPLITS)}, got {split!r}")
     return root / split / f"{index // 1000:04d}" / sample_id(index)
+
+
+def stored_folder(root: Place, split: str, identifier: str) -> Place:
+    """Return the folder of a sample to read it from.
+
+    Raises:
+        InputError: neither a split nor an id, or a link on the way, or in place of the frames' folder.
+    """
+    folder = sample_folder(root, split, sample_index(identifier))
+    for path in (folder.parent.parent, folder.parent, folder, folder / FRAMES):
+        refuse_link(path)
+    return folder
 
 
 def write_sample(root: Place | str, split: str, index: int, sample: Sample) -> SampleRecord:

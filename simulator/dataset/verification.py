@@ -45,6 +45,7 @@ from simulator.dataset.sample import (
     read_description,
     sample_folder,
     sample_index,
+    stored_folder,
 )
 from simulator.errors import InputError
 from simulator.io.exr import MAX_FILE_BYTES
@@ -215,11 +216,13 @@ def check_sample(
 
 def checked_description(root: Place, entry: Entry) -> CheckedSample:
     """Read a sample's ``sample.json`` only, and hold it and the hashes that it lists against the sample's manifest line."""
-    folder = sample_folder(root, entry.split, sample_index(entry.id))
     where = f"{entry.split}/{entry.id}"
-    if not folder.is_dir():
-        return CheckedSample((f"{where}: in {MANIFEST} but not on disk; run generate again after deleting its line",))
     try:
+        folder = stored_folder(root, entry.split, entry.id)
+        if not folder.is_dir():
+            return CheckedSample(
+                (f"{where}: in {MANIFEST} but not on disk; run generate again after deleting its line",)
+            )
         description, data = read_description(folder)
     except InputError as error:
         return CheckedSample((f"{where}: {error}",))

@@ -169,8 +169,7 @@ def committed_folder(folder: Place, last: str = "") -> Iterator[Path]:
         last: name of the file that describes the others; needed for a store.
 
     Raises:
-        StorageError: the place cannot be written to.
-        InputError: the store holds another ``last``, which somebody else wrote there.
+        StorageError: the place cannot be written to, or the store holds another ``last``.
     """
     if isinstance(folder, StorePath):
         with tempfile.TemporaryDirectory(prefix="flatlight-") as made:
@@ -195,19 +194,32 @@ _AT_A_TIME = 8  # files on their way to a store, which waits longer than it work
 
 
 def _upload(made: Path, folder: StorePath, last: str) -> None:
+    """Write the files of a folder into a store, ``last`` in the end; what is there under that name already stays.
+
+    Raises:
+        StorageError: another ``last`` is there, or came while the files were written.
+    """
     names = [path.relative_to(made).as_posix() for path in made.rglob("*") if path.is_file()]
     description = (made / last).read_bytes()
     with storage_errors(folder):
-        with ThreadPoolExecutor(_AT_A_TIME) as pool:
-            for sent in [
-                pool.submit((folder / name).write_bytes, (made / name).read_bytes()) for name in names if name != last
-            ]:
-                sent.result()
-        if not (folder / last).create(description) and (folder / last).read_bytes() != description:
-            raise InputError(
-                str(folder),
-                f"holds another {last}, of a writer that made it otherwise; delete the folder and run generate again",
-            )
+        there = (folder / last).read_bytes() if (folder / last).is_file() else None
+        if there is None:
+            with ThreadPoolExecutor(_AT_A_TIME) as pool:
+                sent = [
+                    pool.submit((folder / name).write_bytes, (made / name).read_bytes())
+                    for name in names
+                    if name != last
+                ]
+            for one in sent:
+                one.result()
+            if not (folder / last).create(description):
+                there = (folder / last).read_bytes()
+    if there not in (None, description):
+        raise StorageError(
+            str(folder),
+            f"another writer made this {last} otherwise, such as on a processor of another kind; let one kind of machine "
+            "make the data set. If both wrote at the same moment, `flatlight generate --repair` finds what does not fit",
+        )
 
 
 @contextmanager
@@ -313,6 +325,19 @@ def not_plain(root: Place) -> Iterator[Path]:
                     yield Path(entry.path)
 
 
+def refuse_link(path: Place) -> None:
+    """Refuse a link in a data set, through which something outside would be read.
+
+    Raises:
+        InputError: it is one.
+    """
+    if path.is_symlink():
+        raise InputError(
+            path,
+            "a link, which is not followed: put a copy of what it leads to there (cp -rL follows links), or remove it",
+        )
+
+
 def sha256_bytes(data: bytes) -> str:
     """Return the SHA-256 of some bytes in hexadecimal."""
     return hashlib.sha256(data).hexdigest()
@@ -332,7 +357,7 @@ MAX_BYTES = 16 << 20
 
 
 def read_limited(path: Place, holds: str, max_bytes: int = MAX_BYTES) -> bytes:
-    """Return the content of a file that somebody else may have made: nothing larger is read, and no pipe is waited for.
+    """Return the content of a file that somebody else may have made: no link is followed, no pipe waited for.
 
     ``holds``, ``max_bytes``: as `read_text`.
 
@@ -340,9 +365,9 @@ def read_limited(path: Place, holds: str, max_bytes: int = MAX_BYTES) -> bytes:
         InputError: when it cannot be read, is not a file or too large.
     """
     with read_errors(path):
-        size = size_of(path)
-        if isinstance(path, Path) and not stat.S_ISREG(path.stat().st_mode):
+        if isinstance(path, Path) and not stat.S_ISREG(path.lstat().st_mode):
             raise InputError(path, f"not a file, expected {holds}")
+        size = size_of(path)
         if size > max_bytes:
             raise InputError(path, f"larger than {max_bytes >> 10} KiB, expected {holds}; restore it from a copy")
         with path.open("rb") as file:

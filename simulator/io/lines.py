@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import stat
 import time
 from collections.abc import Iterator, Mapping
@@ -34,16 +35,20 @@ def read_lines(path: Place) -> Iterator[bytes]:
     """
     with read_errors(path):
         try:
-            if isinstance(path, Path) and not stat.S_ISREG(path.stat().st_mode):
-                raise InputError(path, "not a file, expected lines of JSON")  # to open a pipe would be to wait
+            if isinstance(path, Path) and not stat.S_ISREG(path.lstat().st_mode):
+                raise InputError(path, "not a file, expected lines of JSON")  # a link leads out; a pipe would block
             file = path.open("rb")
         except FileNotFoundError:
             return
         with file:
             while line := file.readline(_LONGEST):
                 if len(line) == _LONGEST:
-                    raise InputError(path, f"has a line of more than {_LONGEST >> 20} MiB, expected lines of JSON")
+                    raise _too_long(path)
                 yield line
+
+
+def _too_long(path: Place) -> InputError:
+    return InputError(path, f"has a line of more than {_LONGEST >> 20} MiB, expected lines of JSON")
 
 
 class AppendedLines:
@@ -57,14 +62,18 @@ class AppendedLines:
         """Open the file (made when missing), take its lock and cut a torn last line.
 
         Raises:
-            InputError: another process is writing to it.
+            InputError: another process is writing to it, or it holds something else.
             StorageError: the folder cannot be written to.
         """
         self.path = path
         self._descriptor, self.locked = open_locked(path)
-        with storage_errors(path):
-            self._size = _end_of_last_line(self._descriptor)
-            os.ftruncate(self._descriptor, self._size)
+        try:
+            with storage_errors(path):
+                self._size = _end_of_last_line(self._descriptor, path)
+                os.ftruncate(self._descriptor, self._size)
+        except BaseException:
+            self.close()
+            raise
 
     def append_line(self, content: Mapping[str, Any]) -> None:
         """Add one line and wait until it is on the disk.
@@ -99,7 +108,7 @@ class AppendedLines:
 
 
 class StoredLines:
-    """Appends lines in a store, where nothing can be appended: batches become objects ``NAME.0000.jsonl`` and so on.
+    """Appends lines in a store, where nothing can be appended: batches become objects ``NAME.TOKEN.0000.jsonl`` and so on.
 
     What the last half minute brought reaches the store on ``close``; a writer that dies leaves it untold.
     """
@@ -109,6 +118,7 @@ class StoredLines:
     def __init__(self, path: StorePath) -> None:
         self.path = path
         self._lines: list[bytes] = []
+        self._token = secrets.token_hex(4)  # a list may be opened again, by this process or another
         self._number, self._since = 0, time.monotonic()
 
     def append_line(self, content: Mapping[str, Any]) -> None:
@@ -124,7 +134,7 @@ class StoredLines:
     def _send(self) -> None:
         if self._lines:
             stem = self.path.name.removesuffix(".jsonl")
-            batch = self.path.with_name(f"{stem}.{self._number:04d}.jsonl")
+            batch = self.path.with_name(f"{stem}.{self._token}.{self._number:04d}.jsonl")
             with storage_errors(batch):
                 batch.write_bytes(b"".join(self._lines))
             self._lines.clear()
@@ -170,10 +180,12 @@ def open_locked(path: Path, *, shared: bool = False, wait: bool = False) -> tupl
         os.close(descriptor)
 
 
-def _end_of_last_line(descriptor: int) -> int:
+def _end_of_last_line(descriptor: int, path: Path) -> int:
     size = os.fstat(descriptor).st_size
     end, step = size, 4096
     while end > 0:
+        if size - end > _LONGEST:
+            raise _too_long(path)
         start = max(0, end - step)
         found = os.pread(descriptor, end - start, start).rfind(b"\n")
         if found >= 0:

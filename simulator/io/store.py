@@ -119,10 +119,10 @@ class StorePath:
         """Whether there is an object of this name.
 
         Raises:
-            OSError: the store cannot be reached; the same for the methods below.
+            InputError: the store cannot be reached; the same for the methods below.
         """
         try:
-            with _os_errors():
+            with self._asked():
                 _obstore().head(self._client, str(self._path))
         except FileNotFoundError:
             return False
@@ -147,7 +147,7 @@ class StorePath:
 
     def iterdir(self) -> Iterator[StorePath]:
         """Yield what lies directly below."""
-        with _os_errors():
+        with self._asked():
             found = _obstore().list_with_delimiter(self._client, str(self._path))
         for path in [*found["common_prefixes"], *(entry["path"] for entry in found["objects"])]:
             yield StorePath(f"{self._store}/{path}")
@@ -166,8 +166,21 @@ class StorePath:
             if fnmatchcase(PurePosixPath(path).name, pattern):
                 yield StorePath(f"{self._store}/{path}")
 
+    @contextmanager
+    def _asked(self) -> Iterator[None]:
+        """Turn what a store answers to a question, but that there is no such object, into an ``InputError``."""
+        try:
+            with _os_errors():
+                yield
+        except FileNotFoundError:
+            raise
+        except OSError as error:
+            raise InputError(
+                self, f"the store cannot be asked ({error.strerror}); check the address, credentials and the network"
+            ) from error
+
     def _below(self) -> Iterator[str]:
-        with _os_errors():
+        with self._asked():
             for chunk in _obstore().list(self._client, f"{self._path}/"):
                 yield from (entry["path"] for entry in chunk)
 
@@ -285,7 +298,11 @@ def _obstore(module: str = "obstore") -> Any:
 
 @contextmanager
 def _os_errors() -> Iterator[None]:
-    """Turn what obstore raises into the ``OSError`` that the same on a disk would be."""
+    """Turn what obstore raises into the ``OSError`` that the same on a disk would be.
+
+    Raises:
+        InputError: a listing has names that would lead elsewhere.
+    """
     known = _obstore("obstore.exceptions")
     try:
         yield
@@ -295,6 +312,10 @@ def _os_errors() -> Iterator[None]:
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from error
     except (known.PermissionDeniedError, known.UnauthenticatedError) as error:
         raise PermissionError(errno.EACCES, _first_line(error)) from error
+    except known.InvalidPathError as error:
+        raise InputError(
+            "object store", f"holds a name that is not one of a file: {_first_line(error)}; remove that object"
+        ) from error
     except known.BaseError as error:
         raise OSError(errno.EIO, _first_line(error)) from error
 

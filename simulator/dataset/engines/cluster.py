@@ -202,6 +202,8 @@ class Cluster:
             job, _ = self._under_way.pop(future)
             try:
                 news = future.result()
+            except self._ray.exceptions.RayTaskError as error:  # of a node that lacks what workers need, such as us
+                news = _StartDeath(f"a node cannot make samples: {described(error.cause or error)}", killed=False)
             except self._ray.exceptions.RayError as error:
                 self._tries.lose(job, Death(f"its Ray worker ended: {described(error).splitlines()[0]}", killed=False))
                 continue

@@ -114,10 +114,10 @@ def open_source(root: Place, splits: Sequence[str] = (), *, partial_too: bool = 
     unknown = [split for split in splits if split not in info.counts]
     if unknown:
         raise InputError("--split", f"got {unknown[0]!r}, expected one of {', '.join(info.counts)}, which {root} has")
+    manifest = load_manifest(root)  # before its hash: what is not a list is found at its first line, whatever its size
     hashes, faults = check_seal(root)
     for error in faults:
         raise error
-    manifest = load_manifest(root)
     skipped = Counter(split for split, name in load_skipped(root) if (split, name) not in manifest.entries)
     faulty = [UNSEALED] * (hashes is None) + check_lists(info, manifest, skipped)
     if faulty and not partial_too:

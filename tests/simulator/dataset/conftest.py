@@ -12,7 +12,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
+from simulator.dataset.checksums import write_seal
+from simulator.dataset.sample import digest_of
 from simulator.io.exr import decode_exr
+from simulator.io.files import sha256_bytes, sha256_file
 
 PITCH_M, DISTANCE_M, SENSOR = 8 * 2.4e-6, 1.9e-3, (48, 60)  # of the tests' tiny configuration
 
@@ -75,3 +78,27 @@ def contents(decided: Callable) -> Callable[[Any], dict[str, str]]:
         return decided(root) | {"info": json.dumps(info)}
 
     return find
+
+
+def _forge(root: Path, **changes: object) -> Path:
+    """Make all hashes agree with the files of the first training sample, after changes to its ``sample.json``."""
+    folder = root / "train/0000/s00000000"
+    path = folder / "sample.json"
+    description = json.loads(path.read_text()) | changes
+    if "files" not in changes:
+        description["files"] = {name: sha256_bytes((folder / name).read_bytes()) for name in description["files"]}
+    path.write_text(json.dumps(description))
+    digest = digest_of(description["files"] | {"sample.json": sha256_file(path)})
+    lines = [json.loads(line) for line in (root / "manifest.jsonl").read_text().splitlines()]
+    for line in lines:
+        if (line["split"], line["id"]) == ("train", "s00000000"):
+            line |= {"digest": digest, "label": description["label"]}
+    (root / "manifest.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    write_seal(root)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def forge() -> Callable[..., Path]:
+    """Return ``(root, **changes of sample.json) ->`` the first sample's folder, with whose files all hashes agree."""
+    return _forge

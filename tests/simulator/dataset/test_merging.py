@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from simulator.dataset import generate, verify
-from simulator.dataset.manifest import load_manifest
+from simulator.dataset.manifest import SkippedWriter, load_manifest, rewrite_manifest
 from simulator.dataset.merging import merge
+from simulator.dataset.sample import sample_index
 from simulator.dataset.shards import Shard, sharing
 from simulator.errors import InputError
 
@@ -100,3 +101,15 @@ def test_what_cannot_come_together(parts: list[Path], tmp_path: Path, make_trial
     shutil.copytree(parts[0], root)
     with sharing(root, None, print), pytest.raises(InputError, match="another process"):
         merge(root, [parts[1]])
+
+
+def test_what_one_part_left_out_and_another_made_counts_once(parts: list[Path], tmp_path: Path) -> None:
+    copies, entries = [tmp_path / name for name in ("a", "b")], list(load_manifest(parts[2]).entries.values())
+    for copy, own in zip(copies, (entries[:5], entries[5:-1]), strict=True):  # the last one has nobody
+        shutil.copytree(parts[2], copy)
+        rewrite_manifest(copy, own)
+    with SkippedWriter(copies[0]) as skipped:
+        skipped.append(entries[5].split, sample_index(entries[5].id), "torn")
+    result = merge(tmp_path / "new", copies)
+    assert (result.taken, result.missing) == (9, 1)
+    assert not verify(tmp_path / "new").ok

@@ -1,6 +1,7 @@
 """Data sets in an object store: the bytes of a folder, whoever made them and in however many pieces."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
@@ -10,10 +11,12 @@ import pytest
 from simulator.dataset import generate, open_dataset, verify
 from simulator.dataset.manifest import WRITERS, ManifestWriter, load_manifest
 from simulator.dataset.merging import merge
+from simulator.dataset.recipe import SampleMaker
 from simulator.dataset.shards import Shard
 from simulator.dataset.status import status
 from simulator.errors import InputError
 from simulator.io import store
+from simulator.io.files import StorageError
 from simulator.io.store import StorePath, place
 from simulator.plots.contact_sheet import contact_sheet
 
@@ -75,10 +78,72 @@ def test_shards_and_what_a_dying_one_leaves(trial, root: StorePath, local: Path,
     assert status(root).writers == 1
     assert not verify(root).ok
     results = [generate(path, shard=Shard(index, 3)) for index in range(3)]
-    assert results[-1].missing == 0
+    assert (results[-1].missing, results[-1].sealed) == (0, False)  # nothing tells a shard that it is the last
+    end = generate(path)
+    assert (end.made, end.kept, end.sealed) == (0, 10, True)
     assert decided(root) == decided(local)
     assert not (root / WRITERS).exists()
     assert verify(root).ok
+
+
+def test_every_failed_and_skipped_sample_is_listed(trial, root: StorePath) -> None:
+    scene = {"family": "./bad.py:bad", "size": [16, 20]}
+    (trial.folder / "bad.py").write_text(
+        f"{trial.plugins.read_text()}\nfrom simulator.errors import InputError\n\nclass Bad(Boxes):\n"
+        "    def clip(self, index, rng):\n"
+        "        if index % 2:\n"
+        "            raise InputError('film', f'{index} is torn')\n"
+        "        return super().clip(index, rng)\n\n"
+        "def bad(view):\n    return Bad(view, 4, None, None, None, None, 0.0)\n"
+    )
+    path = trial.write(dataset=DATASET, scene=scene)
+    path.write_text(path.read_text().replace(str(trial.folder / "out"), str(root)))
+    result = generate(path)
+    assert len(result.failed) == 5
+    assert len(status(root).failed) == 5
+    assert result.sealed
+    skipping = generate(path, skip_bad=True)
+    assert (len(skipping.skipped), skipping.failed) == (5, ())
+    found = status(root)
+    assert (sum(found.skipped.values()), found.failed, found.left) == (5, {}, 0)
+    assert verify(root).ok
+
+
+def test_a_finished_sample_stays_whoever_comes_after(trial, root: StorePath, monkeypatch) -> None:
+    """Another kind of processor makes other bytes; what a writer finished before it died is taken as it is."""
+    path = written(trial, root)
+    generate(path)
+    folder = root / "train/0000/s00000002"
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    text = (root / "manifest.jsonl").read_bytes().splitlines(keepends=True)
+    (root / "manifest.jsonl").write_bytes(b"".join(line for line in text if b'"id":"s00000002"' not in line))
+    (root / "checksums.json").unlink()
+    draw = SampleMaker.sample
+
+    def otherwise(self: SampleMaker, split: str, index: int):
+        made = draw(self, split, index)
+        return replace(made, noiseless=np.nextafter(made.noiseless, np.float32(1)))
+
+    monkeypatch.setattr(SampleMaker, "sample", otherwise)
+    assert generate(path).made == 1
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+    assert verify(root).ok
+    monkeypatch.setattr(SampleMaker, "stored", lambda *_: None)  # two at the same time: neither sees the other's
+    (root / "manifest.jsonl").write_bytes(b"".join(line for line in text if b'"id":"s00000002"' not in line))
+    (root / "checksums.json").unlink()
+    with pytest.raises(StorageError, match="another writer"):
+        generate(path, skip_bad=True)
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+
+
+def test_a_store_that_cannot_be_asked_is_one_line(root: StorePath, monkeypatch, flatlight) -> None:
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+    monkeypatch.delenv("AWS_ALLOW_HTTP")
+    store._client.cache_clear()
+    code, _, err = flatlight("status", root)
+    assert code == 2
+    assert "cannot be asked" in err
+    assert len(err.splitlines()) == 1
 
 
 def test_a_changed_configuration_is_refused_with_a_diff(trial, root: StorePath) -> None:

@@ -182,14 +182,35 @@ def test_a_file_system_without_locks(trial, undisturbed: Path, decided, monkeypa
     path = trial.write(dataset=DATASET)
     root = trial.folder / "out"
     for index in range(shards):
-        generate(path, shard=Shard(index, shards))
-        if index < shards - 1:
-            (root / "train/0000/.tmp-s00000099-12345678").mkdir(exist_ok=True)  # of another shard that is at work
-    left = [str(file.relative_to(root)) for file in root.rglob(".tmp-*")]
-    assert left == (["train/0000/.tmp-s00000099-12345678"] if shards > 1 else [])
-    for name in left:
-        (root / name).rmdir()
+        result = generate(path, shard=Shard(index, shards))
+        assert not result.sealed  # another shard may be at work: nothing is merged under its hands
+        (root / "train/0000/.tmp-s00000099-12345678").mkdir(exist_ok=True)  # of such a one
+    assert (result.missing, len(list((root / WRITERS).iterdir()))) == (0, shards)
+    assert [str(file.relative_to(root)) for file in root.rglob(".tmp-*")] == ["train/0000/.tmp-s00000099-12345678"]
+    (root / "train/0000/.tmp-s00000099-12345678").rmdir()
+    assert generate(path).sealed
     assert decided(root) == decided(undisturbed)
+    assert verify(root).ok
+
+
+def test_a_sample_that_failed_and_was_left_out_since_counts_once(trial) -> None:
+    """Or the data set would be sealed with as many samples missing."""
+    code = trial.plugins.read_text().replace(
+        'raise ZeroDivisionError(f"no clip {index} today")', 'raise InputError("film", "torn")'
+    )
+    (trial.folder / "torn.py").write_text(f"from simulator.errors import InputError\n{code}")
+    scene = {"family": "./torn.py:boxes", "size": [16, 20], "fail_at": 1}
+    path, root = trial.write(dataset=DATASET, scene=scene), trial.folder / "out"
+    name = next(shard for shard in range(3) if any(Shard(shard, 3).holds(split, "s00000001") for split in DATASET))
+    first = generate(path, shard=Shard(name, 3))
+    again = generate(path, shard=Shard(name, 3), skip_bad=True)
+    assert len(first.failed) == len(again.skipped) > 0
+    there = len(load_manifest(root).entries) + len(again.skipped)
+    assert again.missing == 20 - there
+    assert not (root / CHECKSUMS).exists()
+    rest = [generate(path, shard=Shard(index, 3), skip_bad=True) for index in range(3) if index != name]
+    assert rest[-1].missing == 0
+    assert not (root / "failed.jsonl").exists()
     assert verify(root).ok
 
 

@@ -138,9 +138,12 @@ def test_lines_come_in_batches(root: StorePath, monkeypatch: pytest.MonkeyPatch)
     with StoredLines(root / "manifest.jsonl") as lines:
         for number in range(7):
             lines.append_line({"id": number})
-        assert sorted(path.name for path in root.iterdir()) == ["manifest.0000.jsonl", "manifest.0001.jsonl"]
-    found = [line for path in sorted(root.iterdir()) for line in read_lines(path)]
-    assert found == [b'{"id":%d}\n' % number for number in range(7)]
+        assert [path.name.split(".")[2] for path in sorted(root.iterdir())] == ["0000", "0001"]
+    with StoredLines(root / "manifest.jsonl") as lines:  # opened again, it adds to what is there
+        lines.append_line({"id": 7})
+    assert sum(1 for path in root.iterdir() for _ in read_lines(path)) == 8
+    found = [line for path in root.iterdir() for line in read_lines(path)]
+    assert sorted(found) == [b'{"id":%d}\n' % number for number in range(8)]
     assert list(read_lines(root / "manifest.jsonl")) == []
 
 
