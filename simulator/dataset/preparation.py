@@ -49,9 +49,10 @@ def existing_info(plan: Plan) -> DatasetInfo | None:
         raise InputError("dataset.output", f"{root} is a file; choose another folder")
     if not (root / FILE).exists():
         foreign = [path.name for path in sorted(root.iterdir()) if not _left_by_a_start(path)]
-        if foreign:
+        if not foreign:
+            return None
+        if not (root / FILE).exists():  # nor has another process begun meanwhile
             raise InputError("dataset.output", f"{root} holds other files ({foreign[0]}, ...); choose another folder")
-        return None
     info = read_info(root)
     if info.fingerprint != plan.fingerprint:
         changes = difference(info.fingerprint_parts, plan.parts)

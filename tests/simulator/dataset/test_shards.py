@@ -5,13 +5,13 @@ import subprocess
 import sys
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from simulator.dataset import generate, open_dataset, verify
+from simulator.dataset import generate, open_dataset, preparation, verify
 from simulator.dataset.checksums import CHECKSUMS
 from simulator.dataset.manifest import WRITERS, ManifestWriter, load_manifest
 from simulator.dataset.sample import sample_id
@@ -101,6 +101,24 @@ def test_shards_at_the_same_time(trial, undisturbed: Path, decided, overlap: boo
     (root / "contact_sheet.png").unlink()
     assert decided(root) == decided(undisturbed)
     assert not (root / WRITERS).exists()
+
+
+def test_a_data_set_that_another_process_begins_meanwhile_is_no_foreign_folder(trial, monkeypatch) -> None:
+    path, root, seen = trial.write(dataset=DATASET), trial.folder / "out", []
+
+    def late(paths: Iterable[Path]) -> list[Path]:
+        """List the folder only when another process has begun there."""
+        if not seen:
+            seen.append(root)
+            generate(path, shard=Shard(0, 2))
+            return sorted(root.iterdir())
+        return sorted(paths)
+
+    root.mkdir()
+    monkeypatch.setattr(preparation, "sorted", late, raising=False)
+    assert generate(path).kept > 0
+    assert seen
+    assert verify(root).ok
 
 
 def test_a_shard_that_dies_leaves_what_it_finished_to_the_others(
