@@ -12,6 +12,7 @@ import typer
 from simulator.commands.shared import ConfigPath, Overrides
 from simulator.console import Bar, JsonLog
 from simulator.errors import InputError
+from simulator.io.files import StorageError
 from simulator.io.store import Place
 
 if TYPE_CHECKING:
@@ -87,7 +88,12 @@ def generate(
     from simulator.dataset.job import generate as run
     from simulator.dataset.shards import Shard
 
+    if price is not None and not estimate:
+        raise InputError("--price", f"got {price:g} without --estimate, which alone uses it; add that, or leave it out")
     if estimate:
+        beside = {"--shard": shard, "--repair": repair, "--log-json": log_json}
+        for option in (option for option, value in beside.items() if value):
+            raise InputError(option, "got it beside --estimate, which makes no data set; leave one of them out")
         _estimate(config, set_ or [], price)
         return
     with JsonLog() if log_json else Bar() as shown:
@@ -215,7 +221,14 @@ def _draw(root: Place) -> None:
     from simulator.plots.contact_sheet import contact_sheet
     from simulator.plots.report.page import write_report
 
-    contact_sheet(root, root / CONTACT_SHEET)
+    try:
+        contact_sheet(root, root / CONTACT_SHEET)
+    except StorageError:
+        raise
+    except InputError as error:
+        raise InputError(
+            error.path, f"{error.reason}; flatlight generate --repair makes what is damaged anew"
+        ) from error
     write_report(root)
 
 

@@ -33,6 +33,16 @@ def package_versions() -> dict[str, str]:
     return {name: version for package in PACKAGES for name, version in _versions_of(package).items()}
 
 
+def installed_versions(names: Iterable[str]) -> dict[str, str]:
+    """Return the versions of packages here, ``absent`` for those that are not installed."""
+    found: dict[str, str] = {}
+    for name in names:
+        found[name] = "absent"
+        with suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
+
+
 def build_fingerprint(
     config: Mapping[str, Any], backend: str, input_files: Iterable[Path | str] = (), packages: Iterable[str] = ()
 ) -> tuple[str, dict[str, Any]]:

@@ -31,6 +31,7 @@ from simulator.dataset.manifest import (
 )
 from simulator.dataset.plan import Plan, Report, Say, make_plan
 from simulator.dataset.preparation import (
+    cpu_level,
     described_anew,
     existing_info,
     look_at_a_clip,
@@ -259,6 +260,8 @@ class _Job:
         """Make what the manifest lacks; a failed sample is reported and does not stop the others."""
         root, chosen = self.plan.root, self.plan.config.dataset
         recipe = replace(self.plan.recipe, full_scale=float(info.exposure["full_scale"]))
+        if (begun := info.versions.get("cpu", cpu_level())) != cpu_level():
+            self.say(f"note: begun on {begun}, this is {cpu_level()}: samples may differ in their last digits")
         finished, there = finished_samples(root), accounted_samples(root)
         total = sum(1 for _ in self._wanted())
         count = sum(1 for split, index in self._wanted() if index not in there[split])

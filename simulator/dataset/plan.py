@@ -90,7 +90,8 @@ def make_plan(config: Config, skip_bad: bool, progress: Report, say: Say) -> Pla
     packages = getattr(source, "packages", ())
     fingerprint, parts = build_fingerprint(dump(config), variant, assembly.input_files, packages)
     folder = (root / PSF_FOLDER).resolve()
-    recipe = Recipe(config, variant, folder, source if plugin.path is None else None, shutter, assembly.view)
+    sent = source if plugin.path is None else None
+    recipe = Recipe(config, variant, folder, sent, shutter, assembly.view, versions=parts["versions"])
     return Plan(config, root, assembly, recipe, fingerprint, parts, problems, skip_bad, timed or renders)
 
 

@@ -5,10 +5,11 @@ A worker builds its ``SampleMaker`` once and then makes any sample of the data s
 
 from __future__ import annotations
 
+import platform
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -25,6 +26,7 @@ from simulator.config import Config
 from simulator.config.schema import DatasetConfig
 from simulator.dataset.clips import ClipOrder, check_clip, clip_order, durations_s
 from simulator.dataset.engines import Outcome, available_cpus, run
+from simulator.dataset.fingerprint import installed_versions
 from simulator.dataset.sample import (
     DESCRIPTION,
     Sample,
@@ -35,6 +37,7 @@ from simulator.dataset.sample import (
     sample_id,
     write_sample,
 )
+from simulator.errors import InputError
 from simulator.io.files import sha256_bytes
 from simulator.io.store import Place, StorePath
 from simulator.optics.stack_files import read_psf_stack
@@ -53,6 +56,7 @@ class Recipe:
         psf_folder: the data set's PSF stack.
         source: the scene source, or None where workers must build it themselves (classes in a user's own file).
         full_scale: exposure at full scale; None while it is being found from pilot samples.
+        versions: packages that every worker must have in these versions, or its samples would be others.
         shutter: the shutter, built once so that all samples share its windows.
         view: what scenes are drawn for; an automatic margin takes a second to find.
     """
@@ -64,6 +68,7 @@ class Recipe:
     shutter: Shutter
     view: View
     full_scale: float | None = None
+    versions: Mapping[str, str] = field(default_factory=dict)
 
 
 class SampleMaker:
@@ -197,8 +202,19 @@ _maker: SampleMaker | None = None
 
 
 def start_worker(recipe: Recipe) -> None:
-    """Prepare this process to make samples."""
+    """Prepare this process to make samples.
+
+    Raises:
+        InputError: this machine has other versions of the packages that decide samples.
+    """
     global _maker
+    here = installed_versions(recipe.versions)
+    if changed := [
+        f"{name} {here[name]} (not {wanted})" for name, wanted in recipe.versions.items() if here[name] != wanted
+    ]:
+        raise InputError(
+            "dataset.engine", f"a worker on {platform.node()} has {', '.join(changed)}; install the same on every node"
+        )
     if recipe.backend != "none":
         from simulator.render.backend import activate
 

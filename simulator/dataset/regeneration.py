@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import math
 import random
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from simulator.config import Config, config_from_dict, load_config
 from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info
+from simulator.dataset.exports.source import arrays
 from simulator.dataset.fingerprint import difference
 from simulator.dataset.manifest import Key, load_manifest
 from simulator.dataset.plan import make_plan
 from simulator.dataset.preparation import cpu_level, reason_of
 from simulator.dataset.recipe import Recipe, make_sample, perform
-from simulator.dataset.sample import DESCRIPTION, StoredSample, read_description, sample_index, stored_folder
+from simulator.dataset.sample import DESCRIPTION, Sample, StoredSample, read_description, sample_index, stored_folder
 from simulator.errors import InputError
 from simulator.io.exr import MAX_FILE_BYTES
 from simulator.io.files import read_limited
@@ -188,18 +191,43 @@ def _compared(root: Place, made: Path, key: Key, may_differ: bool) -> Regenerate
         folders = [stored_folder(top, *key) for top in (root, made)]
         if _files(folders[0]) == _files(folders[1]):
             return Regenerated(key, True, 0.0, "")
-        stored, again = (StoredSample(folder).sample() for folder in folders)
+        stored, again = (_all_of(StoredSample(folder).sample()) for folder in folders)
     except InputError as error:
         return Regenerated(key, False, None, f"cannot be compared: {error}")
-    pairs = [(stored[name], again[name]) for name in _ARRAYS]
-    if stored.label != again.label or any(old.shape != new.shape for old, new in pairs):
-        return Regenerated(key, False, None, "another one when it is made again (label or shapes)")
-    worst = max(_relative(old, new) for old, new in pairs)
+    differences = _differences(stored, again)
+    name = max(differences, key=differences.__getitem__)
+    worst = differences[name]
+    if math.isinf(worst):
+        return Regenerated(key, False, None, f"another one when it is made again: its {name} is not the same")
     if may_differ and worst <= TOLERANCE:
         return Regenerated(key, False, worst, "")
-    reason = f"differs by {worst:.1e} (relative L2)" if worst else "holds the same arrays, but other metadata"
     expected = f"expected at most {TOLERANCE:g}" if may_differ else "expected the same bytes"
-    return Regenerated(key, False, worst, f"{reason}, {expected}")
+    return Regenerated(key, False, worst, f"its {name} differs by {worst:.1e} (relative L2), {expected}")
+
+
+def _all_of(sample: Sample) -> dict[str, Any]:
+    """Return everything that a sample says."""
+    return {**arrays(sample), "label": sample.label, "channels": sample.channels, "metadata": sample.metadata}
+
+
+def _differences(old: Any, new: Any, name: str = "content") -> dict[str, float]:
+    """Return the relative L2 differences of two values by name; infinite where they are not of a kind."""
+    if isinstance(old, dict) and isinstance(new, dict) and old.keys() == new.keys():
+        parts = {key: _differences(old[key], new[key], str(key)) for key in old}
+        return {name: 0.0} | {key: value for part in parts.values() for key, value in part.items()}
+    if isinstance(old, list | tuple) and isinstance(new, list | tuple) and len(old) == len(new):
+        parts = [_differences(one, other, name) for one, other in zip(old, new, strict=True)]
+        return {name: max((value for part in parts for value in part.values()), default=0.0)}
+    if isinstance(old, np.ndarray) and isinstance(new, np.ndarray) and old.shape == new.shape:
+        first, second = old.astype(np.float64), new.astype(np.float64)
+        return {name: float(np.linalg.norm(second - first) / max(np.linalg.norm(first), 1e-30))}
+    if type(old) is float and type(new) is float:
+        least = _SMALL_SHARE if name.endswith("_share") else 1e-30
+        return {name: abs(new - old) / max(abs(old), abs(new), least)}
+    return {name: 0.0 if old == new else math.inf}
+
+
+_SMALL_SHARE = 1e-2  # of pixels: a smaller one counts as if it were so large, as one pixel more is no other sample
 
 
 def _files(folder: Place) -> dict[str, bytes]:
@@ -208,11 +236,3 @@ def _files(folder: Place) -> dict[str, bytes]:
     for name in description["files"]:
         found[name] = read_limited(folder / name, "a file of a sample", MAX_FILE_BYTES)
     return found
-
-
-_ARRAYS = ("measurement", "noiseless", "rgb", "depth_m", "valid")
-
-
-def _relative(old: np.ndarray, new: np.ndarray) -> float:
-    first, second = old.astype(np.float64), new.astype(np.float64)
-    return float(np.linalg.norm(second - first) / max(np.linalg.norm(first), 1e-30))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -49,7 +49,7 @@ from simulator.dataset.sample import (
 )
 from simulator.errors import InputError
 from simulator.io.exr import MAX_FILE_BYTES
-from simulator.io.files import TEMPORARY_PREFIX, not_plain, read_errors, read_limited, sha256_bytes
+from simulator.io.files import TEMPORARY_PREFIX, UnreadableError, not_plain, read_errors, read_limited, sha256_bytes
 from simulator.io.store import Place, place, relative_name
 from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, read_psf_stack
 
@@ -64,7 +64,9 @@ class Report:
         wanted: samples per split that ``dataset.json`` asks for.
         skipped: samples per split that ``generate --skip-bad`` left out for good; none where a split is absent.
         notes: one line per file that may lie there, but was not checked.
-        bad: the samples that are not intact.
+        bad: the samples whose own files are damaged or gone.
+        unread: the samples that could not be judged: the disk or the network failed, or a worker died of them.
+        crowded: the samples that have other files in their folders.
     """
 
     problems: tuple[str, ...]
@@ -73,6 +75,8 @@ class Report:
     skipped: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     bad: frozenset[Key] = frozenset()
+    unread: frozenset[Key] = frozenset()
+    crowded: frozenset[Key] = frozenset()
 
     @property
     def ok(self) -> bool:
@@ -145,14 +149,16 @@ def verify(
     problems += _check_captured(root, info, fingerprint, faulty)
     counts = dict.fromkeys(info.counts, 0)
     engine = "inline" if workers == 1 else "local"
-    check = partial(check_sample, root, info, shutter, fingerprint)
-    entries, bad = list(manifest.entries.values()), set[Key]()
+    check = partial(_judged, root, info, shutter, fingerprint)
+    entries, bad, unread, crowded = list(manifest.entries.values()), set[Key](), set[Key](), set[Key]()
     for number, outcome in enumerate(run(engine, check, entries, workers=workers), start=1):
-        entry = outcome.task
-        found = [f"{entry.split}/{entry.id}: {outcome.error}"] if outcome.error else outcome.value or []
-        problems += found
-        bad |= {(entry.split, entry.id)} if found else set()
-        counts[entry.split] = counts.get(entry.split, 0) + (not found)
+        entry, key = outcome.task, (outcome.task.split, outcome.task.id)
+        sample = outcome.value or CheckedSample((f"{entry.split}/{entry.id}: {outcome.error}",), unread=True)
+        problems += sample.problems
+        for fits, kind in ((sample.damaged, bad), (sample.unread, unread), (sample.strays > 0, crowded)):
+            if fits:
+                kind.add(key)
+        counts[entry.split] = counts.get(entry.split, 0) + (not sample.problems)
         if progress is not None:
             progress(number, len(entries))
     if not sealed and not problems and seal:
@@ -160,7 +166,7 @@ def verify(
             write_seal(root)
     elif not sealed:
         problems.insert(0, UNSEALED)
-    return Report(tuple(problems), counts, info.counts, dict(skipped), notes, frozenset(bad))
+    return Report(tuple(problems), counts, info.counts, dict(skipped), notes, *map(frozenset, (bad, unread, crowded)))
 
 
 UNSEALED = (
@@ -199,12 +205,26 @@ class CheckedSample:
         description: the content of ``sample.json``; empty where it cannot be read.
         files: the bytes of its files by name, ``sample.json`` included.
         sample: what they hold; None where that cannot be read.
+        strays: how many of the faults are files that are not the sample's.
+        unread: whether a file is there, but could not be read just now.
     """
 
     problems: tuple[str, ...]
     description: dict[str, Any] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
     sample: Sample | None = None
+    strays: int = 0
+    unread: bool = False
+
+    @property
+    def damaged(self) -> bool:
+        """Whether the sample's own files are not as they were written."""
+        return not self.unread and len(self.problems) > self.strays
+
+
+def _judged(root: Place, info: DatasetInfo, shutter: Shutter | None, fingerprint: str, entry: Entry) -> CheckedSample:
+    """Check one sample; what it holds stays in the process that read it."""
+    return replace(checked_sample(root, info, shutter, fingerprint, entry), description={}, files={}, sample=None)
 
 
 def check_sample(
@@ -225,7 +245,7 @@ def checked_description(root: Place, entry: Entry) -> CheckedSample:
             )
         description, data = read_description(folder)
     except InputError as error:
-        return CheckedSample((f"{where}: {error}",))
+        return CheckedSample((f"{where}: {error}",), unread=isinstance(error, UnreadableError))
     problems = []
     if digest_of(description["files"] | {DESCRIPTION: sha256_bytes(data)}) != entry.digest:
         problems.append(f"{where}: its digest differs from the one in {MANIFEST}")
@@ -246,23 +266,25 @@ def checked_sample(
     folder = sample_folder(root, entry.split, sample_index(entry.id))
     where = f"{entry.split}/{entry.id}"
     problems = [f"{where}: unexpected file {name}" for name in _unexpected(folder, description["files"])]
+    strays, unread = len(problems), False
     for name, expected in description["files"].items():
         try:
             files[name] = read_limited(folder / name, "an OpenEXR file", MAX_FILE_BYTES)
         except InputError as error:
             problems.append(f"{where}: {name} {error.reason}")
+            unread |= isinstance(error, UnreadableError)
             continue
         if sha256_bytes(files[name]) != expected:
             problems.append(f"{where}: {name} has other content than {DESCRIPTION} says (SHA-256 differs)")
     problems += described.problems
     if len(files) <= len(description["files"]):
-        return CheckedSample(tuple(problems), description, files)
+        return CheckedSample(tuple(problems), description, files, strays=strays, unread=unread)
     try:
         sample = StoredSample(folder, description, files).sample()
     except InputError as error:
-        return CheckedSample((*problems, f"{where}: {error}"), description, files)
+        return CheckedSample((*problems, f"{where}: {error}"), description, files, strays=strays)
     problems += [f"{where}: {line}" for line in _not_as_promised(sample, info, shutter, psf_fingerprint)]
-    return CheckedSample(tuple(problems), description, files, sample)
+    return CheckedSample(tuple(problems), description, files, sample, strays)
 
 
 def _not_as_promised(sample: Sample, info: DatasetInfo, shutter: Shutter | None, psf_fingerprint: str) -> Iterator[str]:

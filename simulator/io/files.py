@@ -89,13 +89,19 @@ def storage_errors(path: Place) -> Iterator[None]:
         raise StorageError(str(path), f"cannot be written: {reason}") from error
 
 
+class UnreadableError(InputError):
+    """A file that is there cannot be read just now: the disk, the network or a permission, nothing that its content says."""
+
+
 @contextmanager
 def read_errors(path: Place) -> Iterator[None]:
-    """Turn the operating system's refusals to read ``path`` into an ``InputError``."""
+    """Turn the operating system's refusals to read ``path`` into an ``InputError``; an ``UnreadableError`` if it is there."""
     try:
         yield
-    except OSError as error:
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
         raise InputError(str(path), f"cannot be read: {error.strerror or error}") from error
+    except OSError as error:
+        raise UnreadableError(str(path), f"cannot be read: {error.strerror or error}") from error
 
 
 def sync_folder(folder: Path) -> None:
@@ -136,17 +142,24 @@ def write_atomic(path: Place, data: bytes, check: Callable[[Path], None] | None 
         with storage_errors(path):
             path.write_bytes(data)
         return
+    with _renamed(path) as temporary:
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # the user's umask applies
+        try:
+            write_all(descriptor, data)
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+        if check is not None:
+            check(temporary)
+
+
+@contextmanager
+def _renamed(path: Path) -> Iterator[Path]:
+    """Give a temporary name; at the end of the block its file, which is on the disk by then, becomes ``path``."""
     temporary = temporary_path(path)
     with storage_errors(path):
         try:
-            descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # the user's umask applies
-            try:
-                write_all(descriptor, data)
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
-            if check is not None:
-                check(temporary)
+            yield temporary
             os.replace(temporary, path)
             sync_folder(path.parent)
         except BaseException:
@@ -232,22 +245,15 @@ def committed_file(path: Path) -> Iterator[Path]:
     Raises:
         StorageError: the place cannot be written to.
     """
-    temporary = temporary_path(path)
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
+    with _renamed(path) as temporary:
+        yield temporary
+        descriptor = os.open(temporary, os.O_RDONLY)
         try:
-            yield temporary
-            descriptor = os.open(temporary, os.O_RDONLY)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
-            os.replace(temporary, path)
-            sync_folder(path.parent)
-        except BaseException:
-            with suppress(OSError):
-                temporary.unlink()
-            raise
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def _replace_folder(temporary: Path, folder: Path) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from simulator.errors import InputError
 from simulator.io.exr import MAX_FILE_BYTES, decode_exr, write_exr
-from simulator.io.files import committed_folder, read_limited, sha256_bytes, write_atomic
+from simulator.io.files import UnreadableError, committed_folder, read_limited, sha256_bytes, write_atomic
 from simulator.io.json import are_names, check_keys, is_positive, parse_json, plain, readable_json
 from simulator.io.store import Place
 from simulator.optics.stack import PsfStack
@@ -165,6 +165,8 @@ def _read_planes(file: Place, digest: str, channels: tuple[str, ...], metadata: 
     """Return the PSFs ``(C, H, W)`` of one depth."""
     try:
         data = read_limited(file, "an OpenEXR file", MAX_FILE_BYTES)
+    except UnreadableError:
+        raise
     except InputError as error:
         raise InputError(file, f"{error.reason}; delete {file.parent} and compute it again") from error
     if sha256_bytes(data) != digest:

@@ -22,7 +22,7 @@ from typing import Any
 from simulator.config.schema import RayConfig
 from simulator.dataset.engines.local import ONE_THREAD, Worker
 from simulator.dataset.engines.stopping import stop_signals
-from simulator.dataset.engines.tries import IN_A_ROW, Death, Failure, Job, Outcome, Reply, Tries, check_start
+from simulator.dataset.engines.tries import Death, FailedStarts, Failure, Job, Outcome, Reply, Tries, check_start
 from simulator.errors import InputError
 from simulator.text import described
 
@@ -156,7 +156,7 @@ class Cluster:
         self._tries, self._workers, self._settings = tries, workers, settings or RayConfig()
         self._start, self._timeout_s, self._max_tasks = start, timeout_s, max_tasks
         self._under_way: dict[Future[Any], tuple[Job, Any]] = {}  # each with its reference, by which Ray knows it
-        self._failed_starts: list[str] = []  # in a row, by their cause
+        self._failed_starts = FailedStarts()
         self._limit, self._counted = 0, -math.inf
 
     def outcomes(self) -> Iterator[Outcome]:
@@ -180,6 +180,7 @@ class Cluster:
                         self._listen(0.0)
                         continue
                     tries.refuse_hopeless()
+                    self._failed_starts.refuse_hopeless(sum(bool(node["Alive"]) for node in ray.nodes()))
                     if not self._under_way:
                         return
                     self._listen(_TICK_S)
@@ -208,9 +209,8 @@ class Cluster:
                 self._tries.lose(job, Death(f"its Ray worker ended: {described(error).splitlines()[0]}", killed=False))
                 continue
             if isinstance(news, _StartDeath):
-                self._failed_starts.append(news.cause)
                 self._tries.put_back(job)
-                self._refuse_failed_starts()
+                self._failed_starts.add(news.cause)
             elif isinstance(news, Failure):
                 check_start(news)
             elif isinstance(news, Death):
@@ -218,11 +218,3 @@ class Cluster:
             else:
                 self._failed_starts.clear()
                 self._tries.finish(job, news)
-
-    def _refuse_failed_starts(self) -> None:
-        if len(self._failed_starts) >= IN_A_ROW:
-            raise InputError(
-                "workers",
-                f"{len(self._failed_starts)} in a row came to no task: {self._failed_starts[-1]}; run once with engine "
-                "inline to see why",
-            )

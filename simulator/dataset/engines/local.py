@@ -15,8 +15,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.connection import wait as wait_for_objects
 
 from simulator.dataset.engines.stopping import stop_signals
-from simulator.dataset.engines.tries import IN_A_ROW, Death, Job, Outcome, Reply, Tries, check_start, perform
-from simulator.errors import InputError
+from simulator.dataset.engines.tries import Death, FailedStarts, Job, Outcome, Reply, Tries, check_start, perform
 from simulator.text import described
 
 _LIBRARIES = ("OMP", "OPENBLAS", "MKL", "NUMEXPR")
@@ -132,7 +131,7 @@ class Pool:
         self._tries, self._count, self._start = tries, count, start
         self._timeout_s, self._max_tasks = timeout_s, max_tasks
         self._workers: dict[Worker, Job | None] = {}
-        self._failed_starts: list[str] = []  # in a row, by their cause
+        self._failed_starts = FailedStarts()
 
     def outcomes(self) -> Iterator[Outcome]:
         """Yield the outcomes as they come; see `simulator.dataset.engines.run`."""
@@ -146,7 +145,7 @@ class Pool:
                         self._listen(0.0)
                         continue
                     self._tries.refuse_hopeless()
-                    self._refuse_failed_starts()
+                    self._failed_starts.refuse_hopeless()
                     if not left:
                         return
                     self._listen(_TICK_S)
@@ -176,7 +175,7 @@ class Pool:
             while waiting and len(self._workers) < self._count:
                 self._workers[Worker(self._start, self._timeout_s)] = None
         except OSError as error:
-            self._failed_starts.append(described(error))
+            self._failed_starts.add(described(error))
         return waiting or any(job is not None for job in self._workers.values())
 
     def _listen(self, timeout_s: float) -> None:
@@ -188,7 +187,7 @@ class Pool:
             if isinstance(news, Death):
                 del self._workers[worker]
                 if not worker.ready:
-                    self._failed_starts.append(news.cause)
+                    self._failed_starts.add(news.cause)
                 elif job is not None:
                     self._tries.lose(job, news)
             elif news is not None and not worker.ready:
@@ -202,14 +201,6 @@ class Pool:
                     del self._workers[worker]
                     worker.end()
                 self._tries.finish(job, news)
-
-    def _refuse_failed_starts(self) -> None:
-        if len(self._failed_starts) >= IN_A_ROW:
-            raise InputError(
-                "workers",
-                f"{len(self._failed_starts)} in a row came to no task: {self._failed_starts[-1]}; run once with engine "
-                "inline to see why, and put a script that starts workers under `if __name__ == '__main__':`",
-            )
 
 
 def _cause_of_death(code: int) -> str:

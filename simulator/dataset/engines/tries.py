@@ -151,6 +151,34 @@ def check_start(failure: Failure | None) -> None:
     raise EngineError(msg)
 
 
+class FailedStarts:
+    """Workers that died before they took a task, counted until one does."""
+
+    def __init__(self) -> None:
+        self._causes: list[str] = []
+
+    def clear(self) -> None:
+        """Forget them: a worker has started."""
+        self._causes.clear()
+
+    def add(self, cause: str) -> None:
+        """Count another one."""
+        self._causes.append(cause)
+
+    def refuse_hopeless(self, machines: int = 1) -> None:
+        """Refuse to go on where the next will not do better on any of so many machines; after the outcomes are taken.
+
+        Raises:
+            InputError: with the last cause.
+        """
+        if len(self._causes) >= IN_A_ROW * machines:
+            raise InputError(
+                "workers",
+                f"{len(self._causes)} in a row died while they started: {self._causes[-1]}; run once with engine "
+                "inline to see why, and put a script that starts workers under `if __name__ == '__main__':`",
+            )
+
+
 @dataclass
 class Job:
     """A task and how often it was tried."""

@@ -22,6 +22,7 @@ from simulator.dataset.engines import (
     available_cpus,
     run,
 )
+from simulator.dataset.engines.tries import FailedStarts
 from simulator.errors import InputError
 
 HERE = Path(__file__).parent
@@ -277,3 +278,14 @@ def test_the_user_ends_a_run_and_no_worker_outlives_it(
     while any(alive(pid) for pid in pids):
         assert time.monotonic() < deadline, "workers are still running"
         time.sleep(0.05)
+
+
+def test_one_broken_machine_of_many_does_not_end_the_run() -> None:
+    failed = FailedStarts()
+    for _ in range(3):
+        failed.add("no such package")
+    failed.refuse_hopeless(machines=2)
+    with pytest.raises(InputError, match=r"^workers: .*no such package"):
+        failed.refuse_hopeless()
+    failed.clear()
+    failed.refuse_hopeless()

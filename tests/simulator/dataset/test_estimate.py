@@ -40,6 +40,15 @@ def test_the_command_prints_it_and_writes_nothing(trial, flatlight) -> None:
     assert not (trial.folder / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("options", "named"), [(["--price", "1"], "--price"), (["--estimate", "--shard", "9/3"], "--shard")]
+)
+def test_options_that_have_no_meaning_together(trial, flatlight, options: list[str], named: str) -> None:
+    code, _, err = flatlight("generate", trial.write(), *options)
+    assert code == 2
+    assert err.startswith(f"error: {named}: ")
+
+
 def test_few_samples_and_those_that_cannot_be_made(trial, tmp_path: Path) -> None:
     one = estimate(trial.write(dataset={"train": 0, "validation": 0, "test": 1}))
     assert one.samples == 1

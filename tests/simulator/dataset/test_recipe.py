@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -10,8 +11,11 @@ import numpy as np
 import pytest
 
 from simulator.camera.surroundings import whole_frames
+from simulator.config import load_config
 from simulator.dataset import generate, open_dataset
-from simulator.dataset.recipe import scene_clip
+from simulator.dataset.plan import make_plan
+from simulator.dataset.recipe import scene_clip, start_worker
+from simulator.errors import InputError
 from simulator.plugins import import_file
 from simulator.types import Clip, View
 
@@ -192,3 +196,12 @@ def test_every_split_of_an_endless_source_has_all_classes_in_equal_parts(split: 
 
 def test_splits_of_a_finite_source_count_from_its_ends() -> None:
     assert [scene_clip(Finite(), SEED, split, 1).label for split in ("train", "validation", "test")] == ["1", "4", "3"]
+
+
+def test_a_worker_with_other_versions_makes_no_samples(trial) -> None:
+    """A node of a cluster with another NumPy would make other bytes under the same fingerprint."""
+    recipe = make_plan(load_config(trial.write()), False, lambda *_: None, lambda _: None).recipe
+    assert recipe.versions["numpy"] == np.__version__
+    for name, version in (("numpy", "1.0"), ("no-such-package", "2.0")):
+        with pytest.raises(InputError, match=rf"^dataset\.engine: .*{name} .*not {version}"):
+            start_worker(replace(recipe, versions={**recipe.versions, name: version}))

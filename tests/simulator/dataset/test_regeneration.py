@@ -100,6 +100,17 @@ def test_elsewhere_samples_agree_to_a_tolerance(copy: Path, made, monkeypatch) -
         assert found.difference == pytest.approx(change, rel=0.02)  # of the changed one, which is the reference
         assert (found.fault == "") == fits
         assert not found.identical
+    others = [
+        {"metadata": sample.metadata | {"full_scale": 2 * sample.metadata["full_scale"]}},
+        {"metadata": sample.metadata | {"scene": {"drawn": 7}}},
+        {"label": "another"},
+        {"extras": {"flow": np.zeros((*sample.depth_m.shape, 2), np.float32)}},
+        {"global_measurements": sample.noiseless[None]},
+    ]
+    for change in others:  # whatever a sample says counts, not its images alone
+        write_sample(copy, "train", 1, type(sample)(**{**vars(sample), **change}))
+        (found,) = regenerate(copy, [("train", "s00000001")], config=made[0].path).samples
+        assert found.fault != "", change
     again = regenerate(copy, [("train", "s00000000")], config=made[0].path)
     assert again.samples[0].identical
     assert again.elsewhere[0].startswith("cpu: x86_64 SSE42 -> ")

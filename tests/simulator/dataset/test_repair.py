@@ -1,5 +1,7 @@
 """``generate --repair`` makes exactly what is damaged anew, and the bytes are those that were there."""
 
+import errno
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +12,7 @@ from simulator.dataset import generate, verify
 from simulator.dataset.manifest import load_manifest
 from simulator.dataset.shards import Shard
 from simulator.errors import InputError
+from simulator.io import files
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 
@@ -56,11 +59,14 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], int]] = {  # and how many sam
     "swapped samples": (lambda root: _swap_folders(root / SAMPLE.format(0), root / SAMPLE.format(1)), 2),
     "a missing file": (lambda root: (root / SAMPLE.format(4) / "measurement.exr").unlink(), 1),
     "a missing folder": (lambda root: shutil.rmtree(root / SAMPLE.format(4)), 1),
-    "a file too many": (lambda root: (root / SAMPLE.format(3) / "notes.txt").write_text("mine"), 1),
     "an edited line": (lambda root: _edit(root, '"seed":11', '"seed":12'), 1),
     "a line of nonsense": (lambda root: _edit(root, '"id"', '"number"'), 1),
     "a damaged stack": (lambda root: flip(root / "psf/depth_0001.exr"), 0),
     "a stack that is gone": (lambda root: shutil.rmtree(root / "psf"), 0),
+    "a damaged stack without a seal": (
+        lambda root: (flip(root / "psf/depth_0001.exr"), (root / "checksums.json").unlink()),
+        0,
+    ),
 }
 
 
@@ -89,6 +95,47 @@ def test_exactly_what_is_damaged_is_made_anew(made, copy: Path, decided, damage:
     kept = sum(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items() if "psf" not in path.parts)
     assert kept >= 2 * (9 - count)  # not even written again
     assert load_manifest(copy).entries.keys() == load_manifest(made[1]).entries.keys()
+
+
+def test_nothing_is_removed_where_the_disk_or_the_network_fails(made, copy: Path, decided, monkeypatch) -> None:
+    """A stale file handle says nothing of a sample; a million of them would be made anew."""
+    before, read = decided(copy), files.size_of
+
+    def failing(path: Path) -> int:
+        if path.name == "measurement.exr" and path.parent.name in ("s00000001", "s00000003"):
+            raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+        return read(path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "size_of", failing)
+        assert not verify(copy).ok
+        with pytest.raises(InputError, match=r"4 samples cannot be read, first .*s00000001"):
+            repaired(made[0], copy)
+    assert decided(copy) == before
+    assert verify(copy).ok
+
+
+def test_what_a_user_laid_beside_a_sample_stays(made, copy: Path) -> None:
+    note = copy / SAMPLE.format(3) / "notes.txt"
+    note.write_text("mine")
+    assert repaired(made[0], copy) == (0, ["repair: no sample and no stack is damaged"])
+    assert note.read_text() == "mine"
+    flip(copy / SAMPLE.format(3) / "measurement.exr")
+    with pytest.raises(InputError, match=r"train/s00000003 is damaged.*other files"):
+        repaired(made[0], copy)
+    assert note.read_text() == "mine"
+    note.unlink()
+    assert repaired(made[0], copy)[0] == 1
+    assert verify(copy).ok
+
+
+def test_links_are_named(made, copy: Path, tmp_path: Path) -> None:
+    file = copy / SAMPLE.format(1) / "measurement.exr"
+    file.rename(tmp_path / "elsewhere.exr")
+    file.symlink_to(tmp_path / "elsewhere.exr")
+    with pytest.raises(InputError, match="a link"):
+        repaired(made[0], copy)
+    assert file.is_symlink()
 
 
 def test_nothing_is_done_where_nothing_is_damaged(made, copy: Path, flatlight) -> None:
