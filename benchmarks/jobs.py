@@ -103,6 +103,14 @@ first = next(at for at, stage in seen if stage == "samples")
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 print(first, time.perf_counter() - begin, peak, result.kept, result.made)
 """
+MERGE = """
+import sys, time, resource
+from pathlib import Path
+from simulator.dataset.manifest import merge_lists
+begin = time.perf_counter()
+merge_lists(Path(sys.argv[1]))
+print(time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)
+"""
 
 
 @dataclass(frozen=True)
@@ -197,10 +205,7 @@ def resume(bench: Bench, records: int) -> None:
     bench.run(JOB, path)
     (root / "checksums.json").unlink()
     with (root / "manifest.jsonl").open("a", encoding="utf-8") as file:
-        for index in range(SHORT, records):
-            digest = sha256(str(index).encode()).hexdigest()
-            line = {"id": f"s{index:08d}", "split": "train", "digest": digest, "seed": 1, "label": None}
-            file.write(json.dumps(line | {"seconds": 0.3141, "stages": [0.2, 0.1, 0.01]}, separators=(",", ":")) + "\n")
+        file.writelines(record(index) for index in range(SHORT, records))
     words = [sys.executable, "-c", RESUME, str(bench.config(records, "inline", 1, root, cpu_s=0.0))]
     for run in ("first", "second"):
         done = subprocess.run(words, check=True, capture_output=True, text=True)
@@ -209,6 +214,28 @@ def resume(bench: Bench, records: int) -> None:
             f"{run} resume of {records:,} records: nothing left to do known after {float(first):.1f} s, sealed after "
             f"{float(whole):.1f} s, peak memory {float(peak):.0f} MB, kept {kept}, made {made}"
         )
+
+
+def merge(bench: Bench, records: int) -> None:
+    """Print what it takes to merge the lists of a hundred shards of so many samples, from their records alone."""
+    root = bench.folder / "merged"
+    for number in range(100):
+        own = root / "writers" / f"{number}-of-100-00000000"
+        own.mkdir(parents=True)
+        with (own / "manifest.jsonl").open("w", encoding="utf-8") as file:
+            file.writelines(record(index) for index in range(number, records, 100))
+    done = subprocess.run([sys.executable, "-c", MERGE, str(root)], check=True, capture_output=True, text=True)
+    whole, peak = done.stdout.split()
+    print(
+        f"lists of 100 shards with {records:,} records merged in {float(whole):.1f} s, peak memory {float(peak):.0f} MB"
+    )
+
+
+def record(index: int) -> str:
+    """Return a line of a manifest."""
+    digest = sha256(str(index).encode()).hexdigest()
+    line = {"id": f"s{index:08d}", "split": "train", "digest": digest, "seed": 1, "label": None}
+    return json.dumps(line | {"seconds": 0.3141, "stages": [0.2, 0.1, 0.01]}, separators=(",", ":")) + "\n"
 
 
 def main() -> None:
@@ -224,6 +251,7 @@ def main() -> None:
             overheads(bench, chosen.samples, chosen.rounds, not chosen.no_ray)
         if chosen.records:
             resume(bench, chosen.records)
+            merge(bench, chosen.records)
 
 
 if __name__ == "__main__":

@@ -200,7 +200,8 @@ class _Job:
         hashes = read_seal(root)
         if hashes is None or existing != described_anew(plan, existing) or next(changed_files(root, hashes), None):
             return False
-        finished, there = finished_samples(root), accounted_samples(root)
+        finished = finished_samples(root)
+        there = accounted_samples(root, finished)
         self.kept = sum(1 for split, index in self._wanted() if index in finished[split])
         complete = all(index in there[split] for split, index in self._wanted())
         if complete:
@@ -262,7 +263,8 @@ class _Job:
         recipe = replace(self.plan.recipe, full_scale=float(info.exposure["full_scale"]))
         if (begun := info.versions.get("cpu", cpu_level())) != cpu_level():
             self.say(f"note: begun on {begun}, this is {cpu_level()}: samples may differ in their last digits")
-        finished, there = finished_samples(root), accounted_samples(root)
+        finished = finished_samples(root)
+        there = accounted_samples(root, finished)
         total = sum(1 for _ in self._wanted())
         count = sum(1 for split, index in self._wanted() if index not in there[split])
         self.kept = sum(1 for split, index in self._wanted() if index in finished[split])

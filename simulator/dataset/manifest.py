@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Container, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import chain, pairwise
@@ -18,7 +18,7 @@ from typing import Any, Self, TypeVar
 
 from simulator.dataset.sample import SPLITS, SampleRecord, sample_id, sample_index
 from simulator.errors import InputError
-from simulator.io.files import read_errors, refuse_link, remove_file, remove_folder, write_atomic
+from simulator.io.files import committed_file, read_errors, refuse_link, remove_file, remove_folder, write_atomic
 from simulator.io.lines import AppendedLines, StoredLines, line_of, read_lines
 from simulator.io.store import Place, StorePath, place
 
@@ -75,31 +75,23 @@ class FailedSample:
 # ---- reading
 
 
-def load_manifest(root: Place | str, *, skip_bad: bool = False) -> Manifest:
+def load_manifest(root: Place | str) -> Manifest:
     """Load a data set's manifest; a missing file is an empty one.
-
-    ``skip_bad``: leave out lines that hold no entry; they count as torn.
 
     Raises:
         InputError: unreadable file, or a bad line before the last.
     """
-    return _settled(place(root), lambda: _manifest(place(root), skip_bad))
+    return _settled(place(root), lambda: _manifest(place(root)))
 
 
-def _manifest(root: Place, skip_bad: bool) -> Manifest:
+def _manifest(root: Place) -> Manifest:
     entries: dict[Key, Entry] = {}
     lines, torn = 0, False
     for where, line in _lines(root, MANIFEST):
         if not line.endswith(b"\n"):
             torn = True
             continue
-        try:
-            content, key = _content(where, line, _is_entry, _ENTRY)
-        except InputError:
-            if not skip_bad:
-                raise
-            torn = True
-            continue
+        content, key = _content(where, line, _is_entry, _ENTRY)
         content["stages"] = tuple(content.get("stages", ()))
         entries[key] = Entry(**content)
         lines += 1
@@ -155,18 +147,24 @@ def finished_samples(root: Place | str) -> dict[str, set[int]]:
     return survey(root).finished
 
 
-def accounted_samples(root: Place | str, *, failed: bool = False) -> dict[str, set[int]]:
+def accounted_samples(
+    root: Place | str, finished: dict[str, set[int]] | None = None, *, failed: bool = False
+) -> dict[str, set[int]]:
     """Return the numbers of the samples that are finished or were left out for good, by split; each counts once.
 
-    ``failed``: those, too, that could not be made; another run tries them again.
+    Args:
+        root: the data set.
+        finished: what `finished_samples` gave, where that is known; it stays as it is.
+        failed: those, too, that could not be made; another run tries them again.
 
     Raises:
         InputError: see `load_manifest`.
     """
-    found = finished_samples(root)
+    finished = finished_samples(root) if finished is None else finished
+    others: dict[str, set[int]] = {split: set() for split in finished}
     for split, name in [*load_skipped(root), *(load_failed(root) if failed else ())]:
-        found[split].add(sample_index(name))
-    return found
+        others[split].add(sample_index(name))
+    return {split: own | others[split] if others[split] else own for split, own in finished.items()}
 
 
 def load_skipped(root: Place | str) -> dict[Key, str]:
@@ -358,8 +356,8 @@ class ManifestWriter(_ListWriter):
     def append(self, record: SampleRecord, seconds: float, stages: tuple[float, ...] = ()) -> None:
         """Add one line; see `AppendedLines.append_line`."""
         parts = tuple(round(float(part), 4) for part in stages)
-        entry = Entry(**asdict(record), seconds=round(float(seconds), 4), stages=parts)
-        self._lines.append_line(_entry_content(entry))
+        content = asdict(record) | {"seconds": round(float(seconds), 4)} | ({"stages": parts} if parts else {})
+        self._lines.append_line(content)
 
 
 class SkippedWriter(_ListWriter):
@@ -400,13 +398,37 @@ class FailedWriter(_ListWriter):
         self._append(split, sample_id(index), {"reason": reason, "attempts": attempts, "traceback": traceback})
 
 
-def rewrite_manifest(root: Place, entries: Iterable[Entry]) -> None:
-    """Replace the manifest; nobody else may be writing, and whoever has it open writes to the old one.
+def rewrite_manifest(root: Place, *, without: Container[Key] = (), skip_bad: bool = False) -> None:
+    """Replace the manifest by one line a sample, the last of each, of all writers' lists, in order.
+
+    Nobody else may be writing, and whoever has it open writes to the old one.
+
+    Args:
+        root: the data set.
+        without: samples that are left out.
+        skip_bad: drop lines that hold no entry.
 
     Raises:
+        InputError: see `load_manifest`.
         StorageError: the disk is full; the manifest stays as it was before.
     """
-    write_atomic(root / MANIFEST, b"".join(line_of(_entry_content(entry)) for entry in entries))
+    found: dict[str, dict[int, bytes]] = {split: {} for split in SPLITS}
+    for where, line in _lines(root, MANIFEST):
+        try:
+            if line.endswith(b"\n"):
+                _, key = _content(where, line, _is_entry, _ENTRY)
+                if key not in without:
+                    found[key[0]][sample_index(key[1])] = line
+        except InputError:
+            if not skip_bad:
+                raise
+    lines = (own[index] for own in found.values() for index in sorted(own))
+    path = root / MANIFEST
+    if isinstance(path, StorePath):
+        write_atomic(path, b"".join(lines))
+        return
+    with committed_file(path) as temporary, temporary.open("wb") as file:
+        file.writelines(lines)
 
 
 def merge_lists(root: Place, *, skip_bad: bool = False) -> None:
@@ -421,7 +443,7 @@ def merge_lists(root: Place, *, skip_bad: bool = False) -> None:
     with read_errors(root / WRITERS):
         many = (root / WRITERS).exists()
     if many or skip_bad or not survey(root).tidy:
-        rewrite_manifest(root, load_manifest(root, skip_bad=skip_bad).entries.values())
+        rewrite_manifest(root, skip_bad=skip_bad)
     if not many:
         return
     rest: dict[str, dict[Key, dict[str, Any]]] = {
@@ -435,10 +457,3 @@ def merge_lists(root: Place, *, skip_bad: bool = False) -> None:
         elif (root / name).exists():
             remove_file(root / name)  # what failed was made since
     remove_folder(root / WRITERS)
-
-
-def _entry_content(entry: Entry) -> dict[str, Any]:
-    content = asdict(entry)
-    if not entry.stages:
-        del content["stages"]
-    return content

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from simulator.dataset.checksums import CHECKSUMS, changed_files, read_seal
 from simulator.dataset.dataset_info import FILE
-from simulator.dataset.manifest import ManifestWriter, load_manifest, merge_lists, rewrite_manifest
+from simulator.dataset.manifest import ManifestWriter, merge_lists, rewrite_manifest
 from simulator.dataset.sample import sample_folder, sample_index
 from simulator.dataset.verification import Report, check_plain, verify
 from simulator.errors import InputError
@@ -68,8 +68,7 @@ def take_out_bad(root: Place, workers: int | str = 1, progress: Callable[[int, i
         if not (report.bad or stacks):
             return Removed((), ())
         remove_file(root / CHECKSUMS)
-        entries = load_manifest(root).entries
-        rewrite_manifest(root, (entry for key, entry in entries.items() if key not in report.bad))
+        rewrite_manifest(root, without=report.bad)
         for split, name in report.bad:
             remove_folder(sample_folder(root, split, sample_index(name)))
         for name in stacks:
