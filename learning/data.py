@@ -419,7 +419,9 @@ class SampleCache:
         with ExitStack() as stack:
             with storage_errors(lock):  # of the lock alone: what goes wrong under it is another matter
                 held = stack.enter_context(open(lock, "ab"))
-            take_lock(held, wait=True)  # where there are no locks, two may write the same cache: the later one's stays
+                take_lock(
+                    held, wait=True
+                )  # where there are no locks, two may write the same cache: the later one's stays
             if not cache._is_whole():
                 cache._write(dataset, read)
         return cache

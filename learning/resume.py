@@ -72,7 +72,9 @@ def sole_use(folder: Path, parts: dict[str, Any]) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY)
     try:
-        if take_lock(descriptor) is False:  # not None: a file system without locks
+        with storage_errors(folder):
+            taken = take_lock(descriptor)
+        if taken is False:  # not None: a file system without locks
             busy = f"another process trains in {folder} now; wait for it, or choose another folder"
             raise InputError("output", busy)
         check_folder(folder, parts)

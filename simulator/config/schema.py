@@ -119,7 +119,7 @@ class RayConfig(Section):
 
     address: Annotated[str, Field(min_length=1)] | None = Field(
         default=None,
-        description="head node, such as 10.0.0.1:6379; left out: $RAY_ADDRESS, or a cluster on this machine for so long",
+        description="head node, such as 10.0.0.1:6379; left out: $RAY_ADDRESS, or a cluster of this machine alone",
     )
     memory_gb: Annotated[float, Range(0.001, 10_000, "GB")] | None = Field(
         default=None, description="memory that Ray sets aside for a sample, gigabytes: a node takes no more than fit"

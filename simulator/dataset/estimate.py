@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import resource
 import shutil
 import sys
@@ -10,6 +11,8 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from simulator.camera.sensor import full_scale_from_pilots
 from simulator.config import Config, load_config
@@ -45,7 +48,7 @@ class Estimate:
         memory_bytes: the most that a worker took.
         workers: of this machine.
         free_bytes: room where the data set is to lie; None in a store.
-        price: per CPU-hour; None where it was not told.
+        price: per CPU-hour; None where it was not given.
     """
 
     counts: dict[str, int]
@@ -124,17 +127,17 @@ def estimate(
     """
     if not isinstance(config, Config):
         config = load_config(config, overrides)
-    told, said = progress or (lambda stage, done, total: None), say or (lambda line: None)
+    progress, say = progress or (lambda stage, done, total: None), say or (lambda line: None)
     with config.refusals(), tempfile.TemporaryDirectory(prefix="flatlight-") as made:
         begin = time.perf_counter()
-        plan = make_plan(config, True, told, said)
+        plan = make_plan(config, True, progress, say)
         stack_folder = Path(made) / PSF_FOLDER
-        data_set_stack(plan.assembly, Path(made), said)
+        data_set_stack(plan.assembly, Path(made), say)
         preparation_s = time.perf_counter() - begin
         recipe = replace(plan.recipe, psf_folder=stack_folder)
-        recipe = replace(recipe, full_scale=_full_scale(plan, recipe))
+        recipe = replace(recipe, full_scale=_full_scale(plan, recipe, Path(made)))
         begin = time.perf_counter()
-        costs = list(_pilots(plan, recipe, Path(made), told))
+        costs = list(_pilots(plan, recipe, Path(made), progress))
         start_s = time.perf_counter() - begin - sum(cost[0] for cost in costs[1:])
         folders = [sample_folder(Path(made), split, index) for split, index in _some(plan)]
         sizes = [[size_of(path) for path in folder.rglob("*") if path.is_file()] for folder in folders]
@@ -181,15 +184,16 @@ def _weighed(task: tuple[Place, str, int]) -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
-def _full_scale(plan: Plan, recipe: Recipe) -> float:
+def _full_scale(plan: Plan, recipe: Recipe, made: Path) -> float:
     """Return the exposure of the configuration, or one from two pilots: the size of a sample depends on it a little."""
     if (fixed := plan.assembly.fixed_exposure) is not None:
         return float(fixed["full_scale"])
-    outcomes = list(perform(_one_worker(plan.config).dataset, make_pilot, range(_PILOTS), _PILOTS, recipe))
-    for outcome in outcomes:
-        if outcome.error is not None:
-            raise outcome.error
-    return full_scale_from_pilots([outcome.value for outcome in outcomes if outcome.value is not None])
+    tasks, exposures = ((made, index) for index in range(_PILOTS)), []
+    for outcome in perform(_one_worker(plan.config).dataset, make_pilot, tasks, _PILOTS, recipe):
+        if outcome.value is None:
+            raise outcome.error or InputError("scene", "no pilot sample could be made")
+        exposures.append(np.load(io.BytesIO(outcome.value.read_bytes())))
+    return full_scale_from_pilots(exposures)
 
 
 def _one_worker(config: Config) -> Config:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
+import secrets
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +16,14 @@ from numpy.typing import NDArray
 from simulator.camera.exposure import ExposureShares
 from simulator.camera.noise import GaussianNoise, PhysicalNoise
 from simulator.camera.sensor import PERCENTILE, PILOTS, TARGET, Sensor, full_scale_from_pilots
+from simulator.dataset.engines import GivenUpError
+from simulator.dataset.plan import Plan, Report, Say
+from simulator.dataset.recipe import make_pilot, perform
 from simulator.errors import InputError
+from simulator.io.files import TEMPORARY_PREFIX, StorageError, remove_folder, storage_errors
+from simulator.io.store import Place
 
-LOOKED_AT = 4
+_LOOKED_AT = 4
 """Pilot samples of a data set whose exposure is given."""
 
 # Shares that are worth a word: 'auto' saturates hardly any value, and half of a sensor may lie in the dark.
@@ -24,12 +32,76 @@ _DARK = 0.5  # of the well
 _LOST = 0.01  # values with signal for each saturated one, below which the image is burnt out
 
 
-def pilots_wanted(fixed: Mapping[str, Any] | None, samples: int) -> int:
-    """Return how many pilot samples a data set with so many samples needs; ``fixed`` is its given exposure or None."""
-    return PILOTS if fixed is None else min(LOOKED_AT, samples)
+def find_exposure(plan: Plan, accept: bool, progress: Report, say: Say) -> dict[str, Any]:
+    """Return the one number that maps exposure to full scale, where it comes from, and what pilot samples say of it.
+
+    Raises:
+        InputError: the exposure is of no use, or is to be found and the pilot samples cannot be made.
+        StorageError: the place cannot be written to.
+    """
+    sensor, fixed = plan.assembly.sensor, plan.assembly.fixed_exposure
+    wanted = PILOTS if fixed is None else min(_LOOKED_AT, sum(plan.counts.values()))
+    pilots, bad = _pilots(plan, wanted, fixed is not None, progress)
+    if fixed is not None and not pilots:
+        return fixed  # what cannot be had at all is reported as its sample's failure
+    if not pilots:
+        raise bad[0]
+    if bad:
+        say(f"note: {len(bad)} of {wanted} exposure pilots cannot be made and are left out: {bad[min(bad)]}")
+    record = _record(pilots, fixed, sensor)
+    shares = ExposureShares(**record["pilot_shares"])
+    if not accept:
+        _refuse_useless(shares, record, sensor)
+    say_exposure(f"{len(pilots)} pilot samples", shares, record, plan, say)
+    return record
 
 
-def exposure_record(
+def _pilots(
+    plan: Plan, wanted: int, may_fail: bool, progress: Report
+) -> tuple[list[NDArray[np.float32]], dict[int, Exception]]:
+    """Return the exposures of the first so many pilot samples, and why others could not be made, by number."""
+    made: dict[int, Place] = {}
+    bad: dict[int, Exception] = {}
+    with _shared_folder(plan.root) as folder:
+        tasks = ((folder, index) for index in range(wanted))
+        for outcome in perform(plan.config.dataset, make_pilot, tasks, wanted, plan.recipe):
+            (_, index), error = outcome.task, outcome.error
+            if error is None:
+                assert outcome.value is not None
+                made[index] = outcome.value
+            elif isinstance(error, InputError) and error.path == "scene.surroundings":
+                raise error  # which fails every sample alike
+            elif plan.skips(error) or (may_fail and not isinstance(error, StorageError)):
+                bad[index] = error
+            elif isinstance(error, GivenUpError):
+                raise InputError(f"exposure pilot {index}", outcome.reason) from error
+            else:
+                raise error
+            progress("exposure pilots", len(made) + len(bad), wanted)
+        return [np.load(io.BytesIO(made[index].read_bytes())) for index in sorted(made)], bad
+
+
+@contextmanager
+def _shared_folder(root: Place) -> Iterator[Place]:
+    """Give a folder that workers on all nodes see, for the time of the block."""
+    folder = root / f"{TEMPORARY_PREFIX}pilots-{secrets.token_hex(4)}"
+    if isinstance(folder, Path):
+        with storage_errors(folder):
+            folder.mkdir()
+    try:
+        yield folder
+    finally:
+        remove_folder(folder)
+
+
+def say_exposure(of: str, shares: ExposureShares, record: dict[str, Any], plan: Plan, say: Say) -> None:
+    """Say what an exposure is worth, and what to change."""
+    say(f"exposure, {of}: {shares}")
+    for key, reason in _complaints(shares, record, plan.assembly.sensor):
+        say(f"note: {key}: {reason}")
+
+
+def _record(
     exposures: Sequence[NDArray[np.float32]], fixed: Mapping[str, Any] | None, sensor: Sensor
 ) -> dict[str, Any]:
     """Return the exposure as a data set records it: its one number, where it comes from, what the pilots are worth with it.
@@ -56,18 +128,18 @@ def exposure_record(
     return record | {"pilots": len(exposures), "pilot_shares": asdict(shares)}
 
 
-def refuse_useless(shares: ExposureShares, record: Mapping[str, Any], sensor: Sensor) -> None:
+def _refuse_useless(shares: ExposureShares, record: Mapping[str, Any], sensor: Sensor) -> None:
     """Refuse an exposure with which the pilots hold no value with signal, or hardly one beside those that are saturated.
 
     Raises:
         InputError: naming the key to change.
     """
     if shares.signal <= _LOST * shares.saturated:
-        key, reason = next(complaints(shares, record, sensor))
+        key, reason = next(_complaints(shares, record, sensor))
         raise InputError(key, f"{reason}. Such data carry no signal; to make them all the same: --accept-exposure")
 
 
-def complaints(shares: ExposureShares, record: Mapping[str, Any], sensor: Sensor) -> Iterator[tuple[str, str]]:
+def _complaints(shares: ExposureShares, record: Mapping[str, Any], sensor: Sensor) -> Iterator[tuple[str, str]]:
     """Yield for every share that is large the key to change, and why and how.
 
     Args:

@@ -6,11 +6,14 @@ Two runs with the same fingerprint make the same samples, so a run may resume in
 from __future__ import annotations
 
 import hashlib
+import platform
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from simulator.io.files import sha256_file
 from simulator.io.json import canonical_json, plain
@@ -41,6 +44,13 @@ def installed_versions(names: Iterable[str]) -> dict[str, str]:
         with suppress(metadata.PackageNotFoundError):
             found[name] = metadata.version(name)
     return found
+
+
+def cpu_level() -> str:
+    """Return the processor kind and its best vector extension: NumPy's float32 functions differ between them."""
+    shown: Any = np.show_config(mode="dicts")
+    found = shown.get("SIMD Extensions", {}).get("found") or ["baseline"]
+    return f"{platform.machine()} {found[-1]}"
 
 
 def build_fingerprint(

@@ -1,4 +1,4 @@
-"""How much room a data set takes, from its first samples, and whether the disk has it: told before it is full."""
+"""How much room a data set takes, from its first samples, and whether the disk has it: known before it is full."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from simulator.dataset.checksums import changed_files, read_seal, unseal, write_
 from simulator.dataset.croissant import write_croissant
 from simulator.dataset.dataset_info import DatasetInfo
 from simulator.dataset.engines import ready
+from simulator.dataset.exposure import say_exposure
 from simulator.dataset.forecast import ENOUGH, Facts, Forecast
 from simulator.dataset.manifest import (
     FAILED,
@@ -31,18 +33,15 @@ from simulator.dataset.manifest import (
 )
 from simulator.dataset.plan import Plan, Report, Say, make_plan
 from simulator.dataset.preparation import (
-    cpu_level,
     described_anew,
     existing_info,
     look_at_a_clip,
     made_folder,
     prepare,
-    reason_of,
-    say_exposure,
 )
 from simulator.dataset.problems import list_problems
 from simulator.dataset.reader import all_metadata
-from simulator.dataset.recipe import make_sample, perform
+from simulator.dataset.recipe import Made, make_sample, perform
 from simulator.dataset.repair import take_out_bad
 from simulator.dataset.sample import sample_folder, sample_id
 from simulator.dataset.shards import Shard, alone, sharing
@@ -126,13 +125,13 @@ def generate(
     begin = time.perf_counter()
     if not isinstance(config, Config):
         config = load_config(config, overrides)
-    told, said = progress or (lambda stage, done, total: None), say or (lambda line: None)
+    progress, say = progress or (lambda stage, done, total: None), say or (lambda line: None)
     with config.refusals():
-        plan = make_plan(config, skip_bad, told, said)
+        plan = make_plan(config, skip_bad, progress, say)
         if repair:
-            _repair(plan, shard, told, said)
+            _repair(plan, shard, progress, say)
         quiet = (lambda facts: None, lambda root: None)
-        job = _Job(plan, shard, accept_exposure, ignore_space, told, said, watch or quiet[0], finish or quiet[1])
+        job = _Job(plan, shard, accept_exposure, ignore_space, progress, say, watch or quiet[0], finish or quiet[1])
         job.run()
     skipped = tuple(f"{split}/{name}: {reason}" for (split, name), reason in load_skipped(plan.root).items())
     seconds = time.perf_counter() - begin
@@ -172,6 +171,7 @@ class _Job:
     missing: int = 0
     sealed: bool = False
     failed: list[str] = field(default_factory=list)
+    _cpus: set[str] = field(default_factory=set)
 
     def run(self) -> None:
         """Prepare the data set, make its samples and seal it: in one go, or alone, beside others, and alone again."""
@@ -206,8 +206,7 @@ class _Job:
         complete = all(index in there[split] for split, index in self._wanted())
         if complete:
             self.sealed = True
-            total = sum(1 for _ in self._wanted())
-            self.progress("samples", total, total)
+            self.progress("samples", self._total, self._total)
         return complete
 
     def _beside_others(self) -> DatasetInfo:
@@ -261,11 +260,9 @@ class _Job:
         """Make what the manifest lacks; a failed sample is reported and does not stop the others."""
         root, chosen = self.plan.root, self.plan.config.dataset
         recipe = replace(self.plan.recipe, full_scale=float(info.exposure["full_scale"]))
-        if (begun := info.versions.get("cpu", cpu_level())) != cpu_level():
-            self.say(f"note: begun on {begun}, this is {cpu_level()}: samples may differ in their last digits")
         finished = finished_samples(root)
         there = accounted_samples(root, finished)
-        total = sum(1 for _ in self._wanted())
+        total = self._total
         count = sum(1 for split, index in self._wanted() if index not in there[split])
         self.kept = sum(1 for split, index in self._wanted() if index in finished[split])
         if self.shard is None:
@@ -286,17 +283,27 @@ class _Job:
                 passed_over += 1
             elif outcome.error is not None:
                 with FailedWriter(manifest.folder) as failing:
-                    failing.append(split, index, reason_of(outcome), outcome.attempts, outcome.traceback)
-                self.failed.append(f"{split}/{sample_id(index)}: {reason_of(outcome)}")
+                    failing.append(split, index, outcome.reason, outcome.attempts, outcome.traceback)
+                self.failed.append(f"{split}/{sample_id(index)}: {outcome.reason}")
             else:
                 assert outcome.value is not None
-                record, stages = outcome.value
-                manifest.append(record, outcome.seconds, stages)
+                made = outcome.value
+                manifest.append(made.record, outcome.seconds, made.stages, self._other_cpu(made, info))
                 self.made += 1
                 self._measure(forecast, split, index)
             each = forecast.bytes_per_sample
             self.watch(Facts(len(self.failed), *(None if each is None else each * part for part in (self.made, count))))
             self.progress("samples", total - count + self.made + passed_over, total)
+
+    def _other_cpu(self, made: Made, info: DatasetInfo) -> str | None:
+        """Return the level of the processor that made a sample where it is not that of the data set; said once for each."""
+        begun = info.versions.get("cpu")
+        if made.cpu in (None, begun):
+            return None
+        if made.cpu not in self._cpus:
+            self._cpus.add(made.cpu)
+            self.say(f"note: begun on {begun}, a worker is {made.cpu}: samples may differ in their last digits")
+        return made.cpu
 
     def _measure(self, forecast: Forecast, split: str, index: int) -> None:
         """Look at the size of a sample, and refuse to go on where it shows that the disk has no room for all."""
@@ -304,13 +311,19 @@ class _Job:
         if forecast.measured == ENOUGH and not self.ignore_space:
             forecast.refuse_too_large()
 
-    def _wanted(self) -> Iterator[tuple[str, int]]:
-        """Yield split and number of each sample that this run is to see to."""
-        for split, count in self.plan.counts.items():
-            yield from ((split, index) for index in range(count) if self._is_ours(split, sample_id(index)))
+    @cached_property
+    def _ours(self) -> dict[str, Sequence[int]]:
+        """The numbers of the samples that this run is to see to, by split."""
+        shard, counts = self.shard, self.plan.counts
+        return {split: range(n) if shard is None else shard.part(split, n) for split, n in counts.items()}
 
-    def _is_ours(self, split: str, name: str) -> bool:
-        return self.shard is None or self.shard.holds(split, name)
+    def _wanted(self) -> Iterator[tuple[str, int]]:
+        """Yield split and number of each of them."""
+        return ((split, index) for split, indices in self._ours.items() for index in indices)
+
+    @property
+    def _total(self) -> int:
+        return sum(map(len, self._ours.values()))
 
     # ---- what is worth reading
 

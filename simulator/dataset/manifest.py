@@ -37,11 +37,13 @@ class Entry(SampleRecord):
 
     Attributes:
         seconds: that the making of the sample took, wall time.
-        stages: how much of it each of ``STAGES`` took; empty in data sets of versions that did not tell.
+        stages: how much of it each of ``STAGES`` took; empty in data sets of versions that did not measure it.
+        cpu: level of the processor that made it, where that is another than ``versions.cpu`` of ``dataset.json``.
     """
 
     seconds: float
     stages: tuple[float, ...] = ()
+    cpu: str | None = None
 
 
 @dataclass(frozen=True)
@@ -203,13 +205,14 @@ _KEYS = frozenset(_ENTRY.split(", "))
 def _is_entry(content: dict[str, Any]) -> bool:
     stages = content.get("stages", ())
     return (
-        content.keys() - {"stages"} == _KEYS
+        content.keys() - {"stages", "cpu"} == _KEYS
         and isinstance(content["seed"], int)
         and (content["label"] is None or _is_text(content["label"]))
         and isinstance(content["digest"], str)
         and len(content["digest"]) == 64
         and isinstance(content["seconds"], int | float)
         and all(isinstance(seconds, int | float) for seconds in stages)
+        and ("cpu" not in content or _is_text(content["cpu"]))
     )
 
 
@@ -353,10 +356,15 @@ class ManifestWriter(_ListWriter):
 
     name = MANIFEST
 
-    def append(self, record: SampleRecord, seconds: float, stages: tuple[float, ...] = ()) -> None:
-        """Add one line; see `AppendedLines.append_line`."""
-        parts = tuple(round(float(part), 4) for part in stages)
-        content = asdict(record) | {"seconds": round(float(seconds), 4)} | ({"stages": parts} if parts else {})
+    def append(
+        self, record: SampleRecord, seconds: float, stages: tuple[float, ...] = (), cpu: str | None = None
+    ) -> None:
+        """Add one line; see `Entry` and `AppendedLines.append_line`."""
+        content = asdict(record) | {"seconds": round(float(seconds), 4)}
+        if stages:
+            content["stages"] = tuple(round(float(part), 4) for part in stages)
+        if cpu is not None:
+            content["cpu"] = cpu
         self._lines.append_line(content)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,7 +34,7 @@ from simulator.dataset.shards import alone, sharing
 from simulator.dataset.verification import check_sample
 from simulator.errors import InputError
 from simulator.io.exr import MAX_FILE_BYTES
-from simulator.io.files import committed_folder, read_limited, storage_errors, write_atomic
+from simulator.io.files import committed_folder, make_folder, read_limited, storage_errors, write_atomic
 from simulator.io.store import Place, place
 from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, read_psf_stack, write_psf_stack
 
@@ -85,7 +85,7 @@ def merge(
     merged = _common(infos)
     if isinstance(root, Path):
         with storage_errors(root):
-            root.mkdir(parents=True, exist_ok=True)
+            make_folder(root)
     with _sole(root):
         unseal(root)
         for name in (PSF_FOLDER, CAPTURED_FOLDER):
@@ -94,7 +94,7 @@ def merge(
         write_info(root, merged)
     with sharing(root, None, lambda _: None) as manifest:
         assert manifest is not None  # the description was just written
-        result = _take_samples(root, folders, merged, manifest, progress or (lambda done, total: None))
+        result = _take_samples(root, infos, merged, manifest, progress or (lambda done, total: None))
     with _sole(root):
         merge_lists(root)
         write_card(root)
@@ -137,14 +137,14 @@ def _common(infos: dict[Place, DatasetInfo]) -> DatasetInfo:
 
 def _take_samples(
     root: Place,
-    folders: Sequence[Place],
+    infos: Mapping[Place, DatasetInfo],
     info: DatasetInfo,
     manifest: ManifestWriter,
     progress: Callable[[int, int], None],
 ) -> MergeResult:
     shutter, _ = check_shutter(info)
     fingerprint = read_psf_stack(root / PSF_FOLDER).fingerprint
-    lists = {folder: load_manifest(folder).entries for folder in folders if folder != root}
+    lists = {folder: load_manifest(folder).entries for folder in infos if folder != root}
     there = load_manifest(root).entries
     total, looked_at, taken, problems = sum(map(len, lists.values())), 0, 0, []
     digests: dict[Key, str] = {key: entry.digest for key, entry in there.items()}
@@ -156,14 +156,17 @@ def _take_samples(
                 if not faults:
                     _copy(folder, root, entry)
                     record = SampleRecord(entry.id, entry.split, entry.digest, entry.seed, entry.label)
-                    manifest.append(record, entry.seconds, entry.stages)
+                    cpu = entry.cpu or infos[folder].versions.get("cpu")
+                    manifest.append(
+                        record, entry.seconds, entry.stages, None if cpu == info.versions.get("cpu") else cpu
+                    )
                     digests[key] = entry.digest
                     taken += 1
             elif digests[key] != entry.digest:
                 problems.append(f"{folder}: {'/'.join(key)}: another one than the sample of this name that is there")
             looked_at += 1
             progress(looked_at, total)
-    skipped = {key: reason for folder in folders for key, reason in load_skipped(folder).items() if key not in digests}
+    skipped = {key: reason for folder in lists for key, reason in load_skipped(folder).items() if key not in digests}
     known = load_skipped(root)
     for (split, name), reason in skipped.items():
         if (split, name) not in known:

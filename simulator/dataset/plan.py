@@ -132,8 +132,7 @@ def _with_mask(assembly: Assembly) -> Assembly:
         return assembly
     (outcome,) = run("local", _design_mask, [config], workers=1, timeout_s=config.dataset.timeout_s)
     if isinstance(outcome.error, GivenUpError):
-        reason = f"{outcome.error} (tried {outcome.attempts} times)"
-        outcome = replace(outcome, error=InputError(f"mask design {chosen.design!r}", reason))
+        outcome = replace(outcome, error=InputError(f"mask design {chosen.design!r}", outcome.reason))
     with config.refusals("camera.mask"):
         if outcome.error is not None:
             raise outcome.error

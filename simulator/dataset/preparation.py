@@ -2,38 +2,33 @@
 
 from __future__ import annotations
 
-import platform
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from simulator.assembly import Assembly
-from simulator.camera.exposure import ExposureShares
 from simulator.camera.shutter import Shutter, shutter_record
 from simulator.captured_psf import captured_stack, check_calibration
 from simulator.config import dump
 from simulator.config.psf import ComputedPsf
 from simulator.dataset.clips import ClipTimesError
 from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info, write_info
-from simulator.dataset.engines import GivenUpError, Outcome, WorkerError
-from simulator.dataset.exposure import complaints, exposure_record, pilots_wanted, refuse_useless
-from simulator.dataset.fingerprint import difference
+from simulator.dataset.exposure import find_exposure
+from simulator.dataset.fingerprint import cpu_level, difference
 from simulator.dataset.manifest import MANIFEST, WRITERS
 from simulator.dataset.plan import Plan, Report, Say
-from simulator.dataset.recipe import check_first_clip, make_pilot, perform
+from simulator.dataset.reader import all_metadata
+from simulator.dataset.recipe import check_first_clip, perform
 from simulator.errors import InputError
-from simulator.io.files import TEMPORARY_PREFIX, StorageError, remove_folder, storage_errors
+from simulator.io.files import TEMPORARY_PREFIX, make_folder, remove_folder, storage_errors
 from simulator.io.json import canonical_json
 from simulator.io.store import Place, StorePath, check_store
 from simulator.optics.error_budget.sampling import SamplingWarning
 from simulator.optics.metrics import light_off_sensor
 from simulator.optics.stack import UNPROVEN, PsfStack
 from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, read_psf_stack, write_psf_stack
-from simulator.text import described
 
 
 def existing_info(plan: Plan) -> DatasetInfo | None:
@@ -79,7 +74,7 @@ def prepare(
     """
     with _all_or_nothing(plan.root):
         stack = data_set_stack(plan.assembly, plan.root, say)
-        info = existing or _described(plan, stack, _exposure(plan, accept_exposure, progress, say))
+        info = existing or _described(plan, stack, find_exposure(plan, accept_exposure, progress, say))
         wanted = described_anew(plan, info)
         if wanted != existing:
             write_info(plan.root, wanted)
@@ -131,7 +126,7 @@ def made_folder(root: Place) -> Iterator[None]:
         return
     made = [folder for folder in (root, *root.parents) if not folder.exists()]
     with storage_errors(root):
-        root.mkdir(parents=True, exist_ok=True)
+        make_folder(root)
     try:
         yield
     except BaseException:
@@ -206,6 +201,8 @@ def data_set_stack(assembly: Assembly, root: Place, say: Callable[[str], None]) 
         if assembly.wants_full_check:
             say("checking the PSFs against exact ones and direct sums")
             stack = assembly.checked_stack
+        if begun:
+            _refuse_another_stack(root, stack)
         lost = light_off_sensor(stack, config.camera.sensor.shape, config.scene.size)
         stack = replace(stack, provenance=stack.provenance | {"light_off_sensor": float(lost.max())})
         write_psf_stack(folder, stack)
@@ -217,46 +214,18 @@ def data_set_stack(assembly: Assembly, root: Place, say: Callable[[str], None]) 
     return stack
 
 
-# ---- the exposure
+def _refuse_another_stack(root: Place, stack: PsfStack) -> None:
+    """Refuse a stack that was made again and is not that of the samples which are there."""
+    for metadata in all_metadata(root, 1):
+        if metadata.get("psf") != stack.fingerprint:
+            raise InputError(
+                root / PSF_FOLDER,
+                "is gone, and what was made again is not the stack of the samples: the mask is another one at every call. "
+                "Restore the folder from a copy",
+            )
 
 
-def _exposure(plan: Plan, accept: bool, progress: Report, say: Say) -> dict[str, Any]:
-    """Return the one number that maps exposure to full scale, where it comes from, and what pilot samples say of it."""
-    sensor, fixed = plan.assembly.sensor, plan.assembly.fixed_exposure
-    wanted = pilots_wanted(fixed, sum(plan.counts.values()))
-    pilots: dict[int, Any] = {}
-    bad: dict[int, Exception] = {}
-    for outcome in perform(plan.config.dataset, make_pilot, range(wanted), wanted, plan.recipe):
-        if outcome.error is None:
-            pilots[outcome.task] = outcome.value
-        elif isinstance(outcome.error, InputError) and outcome.error.path == "scene.surroundings":
-            raise outcome.error  # which fails every sample alike
-        elif plan.skips(outcome.error) or (fixed is not None and not isinstance(outcome.error, StorageError)):
-            bad[outcome.task] = outcome.error
-        elif isinstance(outcome.error, GivenUpError):
-            raise InputError(f"exposure pilot {outcome.task}", reason_of(outcome)) from outcome.error
-        else:
-            raise outcome.error
-        progress("exposure pilots", len(pilots) + len(bad), wanted)
-    if fixed is not None and not pilots:
-        return fixed  # what cannot be had at all is reported as its sample's failure
-    if not pilots:
-        raise bad[0]
-    if bad:
-        say(f"note: {len(bad)} of {wanted} exposure pilots cannot be made and are left out: {bad[min(bad)]}")
-    record = exposure_record([pilots[i] for i in sorted(pilots)], fixed, sensor)
-    shares = ExposureShares(**record["pilot_shares"])
-    if not accept:
-        refuse_useless(shares, record, sensor)
-    say_exposure(f"{len(pilots)} pilot samples", shares, record, plan, say)
-    return record
-
-
-def say_exposure(of: str, shares: ExposureShares, record: dict[str, Any], plan: Plan, say: Say) -> None:
-    """Say what an exposure is worth, and what to change."""
-    say(f"exposure, {of}: {shares}")
-    for key, reason in complaints(shares, record, plan.assembly.sensor):
-        say(f"note: {key}: {reason}")
+# ---- the clips
 
 
 def look_at_a_clip(plan: Plan) -> None:
@@ -270,17 +239,3 @@ def look_at_a_clip(plan: Plan) -> None:
     for outcome in perform(plan.config.dataset, check_first_clip, [plan.recipe], 1):
         if isinstance(outcome.error, ClipTimesError) and not plan.skip_bad:
             raise outcome.error
-
-
-def reason_of(outcome: Outcome[Any, Any]) -> str:
-    """Return why a task failed, and how often it was tried."""
-    error, tried = outcome.error, f" (tried {outcome.attempts} times)" if outcome.attempts > 1 else ""
-    assert error is not None
-    return (str(error) if isinstance(error, InputError | WorkerError) else described(error)) + tried
-
-
-def cpu_level() -> str:
-    """Return the processor kind and its best vector extension: NumPy's float32 functions differ between them."""
-    shown: Any = np.show_config(mode="dicts")
-    found = shown.get("SIMD Extensions", {}).get("found") or ["baseline"]
-    return f"{platform.machine()} {found[-1]}"

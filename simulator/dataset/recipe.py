@@ -5,6 +5,7 @@ A worker builds its ``SampleMaker`` once and then makes any sample of the data s
 
 from __future__ import annotations
 
+import io
 import platform
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
@@ -26,7 +27,7 @@ from simulator.config import Config
 from simulator.config.schema import DatasetConfig
 from simulator.dataset.clips import ClipOrder, check_clip, clip_order, durations_s
 from simulator.dataset.engines import Outcome, available_cpus, run
-from simulator.dataset.fingerprint import installed_versions
+from simulator.dataset.fingerprint import cpu_level, installed_versions
 from simulator.dataset.sample import (
     DESCRIPTION,
     Sample,
@@ -38,7 +39,7 @@ from simulator.dataset.sample import (
     write_sample,
 )
 from simulator.errors import InputError
-from simulator.io.files import sha256_bytes
+from simulator.io.files import sha256_bytes, write_atomic
 from simulator.io.store import Place, StorePath
 from simulator.optics.stack_files import read_psf_stack
 from simulator.plugins import plugin_errors
@@ -76,12 +77,14 @@ class SampleMaker:
 
     Attributes:
         scene_s: seconds that the scene of the last sample took.
+        cpu: level of this machine's processor.
     """
 
     scene_s = 0.0
 
     def __init__(self, recipe: Recipe) -> None:
         """Read the PSF stack and prepare the forward model: about a second."""
+        self.cpu = cpu_level()
         self._seed, self._chosen = recipe.config.seed, recipe.config.dataset
         self._stack = read_psf_stack(recipe.psf_folder)
         assembly = Assembly(recipe.config, recipe.backend).having(
@@ -162,7 +165,7 @@ class SampleMaker:
         )
 
     def stored(self, root: StorePath, split: str, index: int) -> SampleRecord | None:
-        """Return the record of a sample that a writer finished in a store, but died before it told; None without one."""
+        """Return the record of a sample that a writer left in a store when it died before it could list it; None without."""
         folder = sample_folder(root, split, index)
         if not (folder / DESCRIPTION).is_file():
             return None
@@ -222,27 +225,48 @@ def start_worker(recipe: Recipe) -> None:
     _maker = SampleMaker(recipe)
 
 
-def make_pilot(index: int) -> NDArray[np.float32]:
-    """Return the noiseless exposure of a pilot sample, which automatic exposure looks at."""
-    assert _maker is not None
-    return _maker.exposure("pilot", index)[1]
-
-
-def make_sample(task: tuple[Place, str, int]) -> tuple[SampleRecord, tuple[float, ...]]:
-    """Make and write one sample; ``task`` is (data set, split, index).
+def make_pilot(task: tuple[Place, int]) -> Place:
+    """Write the noiseless exposure of a pilot sample, which automatic exposure looks at; ``task`` is (folder, index).
 
     Returns:
-        Its record, and the seconds that each of `simulator.dataset.manifest.STAGES` took; none where it was there.
+        The file: what a cluster sends back must be small.
     """
+    assert _maker is not None
+    folder, index = task
+    data = io.BytesIO()
+    np.save(data, _maker.exposure("pilot", index)[1])
+    path = folder / f"{index}.npy"
+    write_atomic(path, data.getvalue())
+    return path
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a worker says of a sample that it made.
+
+    Attributes:
+        record: what it is.
+        stages: the seconds that each of `simulator.dataset.manifest.STAGES` took; none where it was there.
+        cpu: level of the processor; None where it was there.
+    """
+
+    record: SampleRecord
+    stages: tuple[float, ...] = ()
+    cpu: str | None = None
+
+
+def make_sample(task: tuple[Place, str, int]) -> Made:
+    """Make and write one sample; ``task`` is (data set, split, index)."""
     assert _maker is not None
     root, split, index = task
     if isinstance(root, StorePath) and (record := _maker.stored(root, split, index)) is not None:
-        return record, ()
+        return Made(record)
     begin = time.perf_counter()
     sample = _maker.sample(split, index)
     made = time.perf_counter()
     record = write_sample(root, split, index, sample)
-    return record, (_maker.scene_s, made - begin - _maker.scene_s, time.perf_counter() - made)
+    stages = _maker.scene_s, made - begin - _maker.scene_s, time.perf_counter() - made
+    return Made(record, stages, _maker.cpu)
 
 
 Task = TypeVar("Task")

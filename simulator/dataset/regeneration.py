@@ -15,10 +15,9 @@ import numpy as np
 from simulator.config import Config, config_from_dict, load_config
 from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info
 from simulator.dataset.exports.source import arrays
-from simulator.dataset.fingerprint import difference
+from simulator.dataset.fingerprint import cpu_level, difference
 from simulator.dataset.manifest import Key, load_manifest
 from simulator.dataset.plan import make_plan
-from simulator.dataset.preparation import cpu_level, reason_of
 from simulator.dataset.recipe import Recipe, make_sample, perform
 from simulator.dataset.sample import DESCRIPTION, Sample, StoredSample, read_description, sample_index, stored_folder
 from simulator.errors import InputError
@@ -63,7 +62,7 @@ class Regeneration:
 
     Attributes:
         samples: one for each sample asked for, in order.
-        elsewhere: what differs here from where the data set was made, one line each: with any, bytes need not agree.
+        elsewhere: what differs here from where the samples were made, one line each: with any, bytes need not agree.
     """
 
     samples: tuple[Regenerated, ...]
@@ -103,9 +102,10 @@ def regenerate(
             raise InputError(
                 f"{split}/{name}", f"not a finished sample of {root}; `flatlight status {root}` counts them"
             )
-    told = progress or (lambda stage, done, total: None)
+    progress = progress or (lambda stage, done, total: None)
     chosen = _configuration(root, info, config, trust_code)
-    recipe, elsewhere = _recipe(root, info, chosen, told)
+    recipe, changed = _recipe(root, info, chosen, progress)
+    cpu, made_on = cpu_level(), {key: entries[key].cpu or info.versions.get("cpu") for key in keys}
     with tempfile.TemporaryDirectory(prefix="flatlight-") as made:
         tasks = [(Path(made), split, sample_index(name)) for split, name in keys]
         found: dict[Key, Regenerated] = {}
@@ -113,11 +113,12 @@ def regenerate(
             _, split, index = outcome.task
             key = next(key for key in keys if key[0] == split and sample_index(key[1]) == index)
             if outcome.value is None:
-                found[key] = Regenerated(key, False, None, f"cannot be made again: {reason_of(outcome)}")
+                found[key] = Regenerated(key, False, None, f"cannot be made again: {outcome.reason}")
             else:
-                found[key] = _compared(root, Path(made), key, may_differ=bool(elsewhere))
-            told("samples made again", number, len(tasks))
-    return Regeneration(tuple(found[key] for key in keys), elsewhere)
+                found[key] = _compared(root, Path(made), key, may_differ=bool(changed) or made_on[key] != cpu)
+            progress("samples made again", number, len(tasks))
+    others = tuple(f"cpu: {other} -> {cpu}" for other in sorted({*map(str, made_on.values())} - {cpu}))
+    return Regeneration(tuple(found[key] for key in keys), (*changed, *others))
 
 
 def some_samples(root: Place | str, count: int) -> list[Key]:
@@ -166,7 +167,7 @@ def _foreign_code(config: Config) -> list[str]:
 
 
 def _recipe(root: Place, info: DatasetInfo, config: Config, progress: Report) -> tuple[Recipe, tuple[str, ...]]:
-    """Return what makes the samples of a data set, and what differs here from where it was made."""
+    """Return what makes the samples of a data set, and a line for each package that is another one here."""
     plan = make_plan(config, True, progress, lambda _: None)
     if plan.recipe.backend != info.backend:
         raise InputError(
@@ -179,8 +180,6 @@ def _recipe(root: Place, info: DatasetInfo, config: Config, progress: Report) ->
         raise InputError(
             root / FILE, "the configuration is not that of this data set; they differ in:\n" + "\n".join(changed)
         )
-    if (cpu := cpu_level()) != info.versions.get("cpu"):
-        lines.append(f"cpu: {info.versions.get('cpu')} -> {cpu}")
     full_scale = float(info.exposure["full_scale"])
     recipe = replace(plan.recipe, psf_folder=(root / PSF_FOLDER).resolve(), full_scale=full_scale)
     return recipe, tuple(lines)

@@ -17,8 +17,9 @@ from pathlib import Path
 
 from simulator.dataset.dataset_info import FILE
 from simulator.dataset.manifest import MANIFEST, WRITERS, ManifestWriter
+from simulator.dataset.sample import sample_id
 from simulator.errors import InputError
-from simulator.io.files import sha256_bytes, storage_errors
+from simulator.io.files import make_folder, sha256_bytes, storage_errors
 from simulator.io.lines import open_locked
 from simulator.io.store import Place
 
@@ -52,6 +53,10 @@ class Shard:
     def holds(self, split: str, identifier: str) -> bool:
         """Whether a sample belongs to this shard."""
         return shard_of(split, identifier, self.count) == self.index
+
+    def part(self, split: str, count: int) -> list[int]:
+        """Return the numbers of those of a split's ``count`` samples that belong to this shard."""
+        return [index for index in range(count) if self.holds(split, sample_id(index))]
 
     def __str__(self) -> str:
         return f"{self.index}/{self.count}"
@@ -115,7 +120,7 @@ def sharing(root: Place, shard: Shard | None, say: Callable[[str], None]) -> Ite
             return
         if isinstance(own, Path):
             with storage_errors(own):
-                own.mkdir(parents=True, exist_ok=True)
+                make_folder(own)
         yield stack.enter_context(ManifestWriter(own))
 
 
@@ -125,5 +130,5 @@ def _shared_lock(path: Path, say: Callable[[str], None]) -> int:
     except InputError as error:
         if error.path != str(path.parent):
             raise
-    say(f"waiting for the process that prepares {path.parent}")
+    say(f"waiting for the run that is alone in {path.parent}: it prepares the data set, or was started without --shard")
     return open_locked(path, shared=True, wait=True)[0]

@@ -34,7 +34,8 @@ class Status:
         failed: samples that could not be made, and why.
         seconds: what a sample took on one worker, mean; None before the first.
         writers: lists that runs have not merged yet: of those that are at work, and of those that died.
-        sealed: whether a run has come to its end and nothing was changed since.
+        sealed: whether a run has come to its end: the next takes the seal off before it changes anything. What others have
+            changed since, `verify` finds.
         missing: samples of every split that are neither finished nor skipped, by shard, where that was asked.
     """
 

@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from itertools import takewhile
 from pathlib import Path
 
 from simulator.errors import InputError
@@ -104,6 +105,14 @@ def read_errors(path: Place) -> Iterator[None]:
         raise UnreadableError(str(path), f"cannot be read: {error.strerror or error}") from error
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder and those above it, where they are missing, so that they survive a power cut."""
+    missing = list(takewhile(lambda place: not place.exists(), (folder, *folder.parents)))
+    folder.mkdir(parents=True, exist_ok=True)
+    for made in missing:
+        sync_folder(made.parent)
+
+
 def sync_folder(folder: Path) -> None:
     """Make renames and new names inside ``folder`` survive a power cut."""
     descriptor = os.open(folder, os.O_RDONLY)
@@ -191,7 +200,7 @@ def committed_folder(folder: Place, last: str = "") -> Iterator[Path]:
         return
     temporary = temporary_path(folder)
     with storage_errors(folder):
-        folder.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(folder.parent)
         try:
             temporary.mkdir()
             yield temporary
@@ -246,7 +255,7 @@ def committed_file(path: Path) -> Iterator[Path]:
         StorageError: the place cannot be written to.
     """
     with storage_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
     with _renamed(path) as temporary:
         yield temporary
         descriptor = os.open(temporary, os.O_RDONLY)

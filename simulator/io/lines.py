@@ -19,7 +19,7 @@ from simulator.io.locks import take_lock
 from simulator.io.store import Place, StorePath
 
 _LONGEST = 16 << 20  # bytes of a line
-_BATCH_LINES, _BATCH_S = 1000, 30.0  # of a store: what a writer that dies has told nobody of
+_BATCH_LINES, _BATCH_S = 1000, 30.0  # of a store: a batch is sent when it has so many lines, or after so many seconds
 
 
 def line_of(content: Mapping[str, Any]) -> bytes:
@@ -110,7 +110,7 @@ class AppendedLines:
 class StoredLines:
     """Appends lines in a store, where nothing can be appended: batches become objects ``NAME.TOKEN.0000.jsonl`` and so on.
 
-    What the last half minute brought reaches the store on ``close``; a writer that dies leaves it untold.
+    What came after the last batch reaches the store on ``close``, and not at all where the writer dies before.
     """
 
     locked = False
@@ -168,7 +168,8 @@ def open_locked(path: Path, *, shared: bool = False, wait: bool = False) -> tupl
         with storage_errors(path):
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         try:
-            taken = take_lock(descriptor, shared=shared, wait=wait)
+            with storage_errors(path):
+                taken = take_lock(descriptor, shared=shared, wait=wait)
             if taken is False:
                 raise InputError(str(path.parent), "another process is writing; wait, or choose another folder")
             with suppress(FileNotFoundError):  # the one who held the lock has put another file in its place

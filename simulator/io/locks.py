@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 from typing import IO
 
 try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None
+
+_NO_LOCKS = {errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK}  # what file systems without locks answer
 
 
 def take_lock(file: int | IO[bytes], *, shared: bool = False, wait: bool = False) -> bool | None:
@@ -20,6 +23,9 @@ def take_lock(file: int | IO[bytes], *, shared: bool = False, wait: bool = False
 
     Returns:
         Whether it was taken; None where the file system knows no locks.
+
+    Raises:
+        OSError: the file system fails otherwise: nothing is known of the lock.
     """
     if fcntl is None:
         return None
@@ -28,6 +34,8 @@ def take_lock(file: int | IO[bytes], *, shared: bool = False, wait: bool = False
         fcntl.flock(file, mode)
     except BlockingIOError:
         return False
-    except OSError:
-        return None
+    except OSError as error:
+        if error.errno in _NO_LOCKS:
+            return None
+        raise
     return True

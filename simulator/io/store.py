@@ -275,7 +275,7 @@ def check_store(root: StorePath) -> None:
     if not first or second or content != b"1":
         raise InputError(
             str(root),
-            "this store overwrites an object that exists though told not to (If-None-Match: *), so two writers would undo "
+            "this store overwrites an object that exists though asked not to (If-None-Match: *), so two writers would undo "
             "each other's work in silence; update the server, or write to a folder and copy it",
         )
 

@@ -90,7 +90,7 @@ FRAMES_PER_SECOND = 5
 
 
 def animation_webp(frames: Sequence[Image.Image], milliseconds: int = 1000 // FRAMES_PER_SECOND) -> bytes:
-    """Return images of one size as an endless animation; each is shown for so long."""
+    """Return images of one size as an endless animation; each shown for the same time."""
     stream = io.BytesIO()
     first, *others = frames
     first.save(stream, "WEBP", save_all=True, append_images=others, duration=milliseconds, loop=0, quality=90, method=4)

@@ -88,7 +88,7 @@ def attempt(start: bytes, payload: bytes, timeout_s: float | None, max_tasks: in
 
 @contextmanager
 def connected(workers: int | None, settings: RayConfig | None) -> Iterator[None]:
-    """Connect to a cluster, or start one on this machine for so long; a program that is connected already stays so.
+    """Connect to a cluster, or start one on this machine, for the time of the block; an earlier connection is kept.
 
     Raises:
         InputError: Ray is not installed, or there is no such cluster.
@@ -197,7 +197,7 @@ class Cluster:
         return self._limit
 
     def _listen(self, timeout_s: float) -> None:
-        """Wait for news of tasks, for so long at most, and act on it."""
+        """Wait for news of tasks, at most ``timeout_s``, and act on it."""
         # Not ray.wait(), in which a signal that raises SystemExit ends the process at once.
         for future in wait(self._under_way, timeout_s, return_when=FIRST_COMPLETED).done:
             job, _ = self._under_way.pop(future)

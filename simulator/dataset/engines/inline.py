@@ -8,9 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from simulator.dataset.engines.stopping import stop_signals
-from simulator.dataset.engines.tries import TRIES, GivenUpError, Outcome, is_tried_again
-from simulator.errors import InputError
-from simulator.text import described
+from simulator.dataset.engines.tries import TRIES, GivenUpError, Outcome, is_tried_again, worded
 
 
 def run_inline(
@@ -39,7 +37,7 @@ def run_inline(
                 seconds = time.perf_counter() - begin
                 attempts += 1
                 stop.check()
-            if not isinstance(error, InputError | None) and is_tried_again(error):
-                error = GivenUpError(described(error))
+            if error is not None and is_tried_again(error):
+                error = GivenUpError(worded(error))
             assert isinstance(error, Exception | None)
             yield Outcome(task, value, error, text, attempts, seconds)

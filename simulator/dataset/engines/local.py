@@ -179,7 +179,7 @@ class Pool:
         return waiting or any(job is not None for job in self._workers.values())
 
     def _listen(self, timeout_s: float) -> None:
-        """Wait for replies, deaths and ends of time, for so long at most, and act on them."""
+        """Wait for replies, deaths and ends of time, at most ``timeout_s``, and act on them."""
         due = min((worker.due for worker in self._workers), default=math.inf) - time.monotonic()
         wait_for_objects([worker.pipe for worker in self._workers], max(0.0, min(timeout_s, due)))
         for worker, job in list(self._workers.items()):

@@ -1,4 +1,4 @@
-"""How the user ends a run: Ctrl-C, SIGTERM and SIGHUP leave through ``finally`` blocks, and are told from a task's own."""
+"""How the user ends a run: Ctrl-C, SIGTERM and SIGHUP leave through ``finally`` blocks, and differ from a task's own."""
 
 from __future__ import annotations
 

@@ -43,6 +43,12 @@ class Outcome(Generic[Task, Result]):
     attempts: int = 1
     seconds: float = 0.0
 
+    @property
+    def reason(self) -> str:
+        """Why it failed, and how often it was tried; empty where it did not."""
+        tried = f" (tried {self.attempts} times)" if self.attempts > 1 else ""
+        return "" if self.error is None else worded(self.error) + tried
+
 
 class WorkerError(RuntimeError):
     """A task failed by something that is not the user's mistake."""
@@ -56,12 +62,17 @@ class EngineError(RuntimeError):
     """The initializer failed by something that is not the user's mistake; no task can be done."""
 
 
+def worded(error: BaseException) -> str:
+    """Return what an error says that is meant to be read as it is; type and message of any other."""
+    return str(error) if isinstance(error, InputError | WorkerError) else described(error)
+
+
 @dataclass(frozen=True)
 class Failure:
     """An exception on its way to the parent, in a form that always survives the way.
 
     Attributes:
-        summary: type and message.
+        summary: what it says; see `worded`.
         traceback: the worker's traceback as text.
         mistake: the exception itself when it is an ``InputError``.
         again: whether the task is to be tried again; see `is_tried_again`.
@@ -111,7 +122,7 @@ def _failure(error: BaseException) -> Failure:
             mistake = copy if type(copy) is type(error) and str(copy) == str(error) else mistake
         except Exception:
             pass
-    return Failure(described(error), traceback.format_exc(), mistake, is_tried_again(error))
+    return Failure(worded(error), traceback.format_exc(), mistake, is_tried_again(error))
 
 
 def is_tried_again(error: BaseException | None) -> bool:
@@ -259,7 +270,6 @@ class Tries:
         if job.attempts < TRIES:
             self._waiting.append(job)
             return False
-        error = failure.mistake if failure is not None and failure.mistake is not None else GivenUpError(reason)
         text = "" if failure is None else failure.traceback
-        self.done.append(Outcome(job.task, None, error, text, job.attempts, seconds))
+        self.done.append(Outcome(job.task, None, GivenUpError(reason), text, job.attempts, seconds))
         return True

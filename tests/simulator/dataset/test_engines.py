@@ -124,7 +124,7 @@ def test_a_task_that_leaves_is_tried_three_times_and_the_others_are_done(
     assert {task[0]: outcome.attempts for task, outcome in found.items()} == {n: 1 + 2 * (n % 2) for n in range(6)}
     for number in (1, 3, 5):
         outcome = found[number, way]
-        assert type(outcome.error) is (InputError if way == "named" else GivenUpError)
+        assert type(outcome.error) is GivenUpError
         assert {"sys.exit": "SystemExit", "named": "SystemExit"}.get(way, way) in f"{outcome.error} {CRASHES}"
         assert CRASHES.get(way, "") in str(outcome.error)
         assert ("in leave\n" in outcome.traceback) == (way not in CRASHES)
