@@ -220,8 +220,8 @@ def _refuse_another_stack(root: Place, stack: PsfStack) -> None:
         if metadata.get("psf") != stack.fingerprint:
             raise InputError(
                 root / PSF_FOLDER,
-                "is gone, and what was made again is not the stack of the samples: the mask is another one at every call. "
-                "Restore the folder from a copy",
+                "is gone, and what was made again is not the stack of the samples: its mask is another one, as of a design "
+                "that draws without a seed. Restore the folder from a copy",
             )
 
 

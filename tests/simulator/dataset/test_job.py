@@ -19,6 +19,7 @@ from simulator.camera.shutter import GlobalShutter
 from simulator.config import load_config
 from simulator.dataset import generate, open_dataset, verify
 from simulator.dataset.checksums import CHECKSUMS
+from simulator.dataset.engines.tries import Tries
 from simulator.dataset.manifest import load_manifest
 from simulator.errors import InputError
 from simulator.optics.stack_files import read_psf_stack
@@ -235,6 +236,57 @@ def test_a_pilot_that_ends_its_process_is_a_mistake_of_the_plugin(trial) -> None
     with pytest.raises(InputError, match=r"^exposure pilot 0: .*KeyboardInterrupt"):
         generate(trial.write(camera={"exposure": {"full_scale": "auto"}}))
     assert not (trial.folder / "out").exists()
+
+
+def test_what_runs_out_of_memory_is_not_left_out_for_good(trial) -> None:
+    """It may do better on another day; what is wrong with a clip's file stays wrong."""
+    code = trial.plugins.read_text()
+    trial.plugins.write_text(code.replace("raise ZeroDivisionError(", "raise MemoryError("))
+    marker = trial.folder / "more memory"
+    path = trial.write(scene=SLOW | {"fail_at": 1, "marker": str(marker)})
+    result = generate(path, skip_bad=True)
+    assert (result.made, len(result.failed), result.skipped) == (4, 1, ())
+    assert "MemoryError" in result.failed[0]
+    assert "(tried 3 times)" in result.failed[0]
+    marker.touch()
+    assert generate(path, skip_bad=True).made == 1
+
+
+def test_no_picture_travels_from_a_worker(trial, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a hundred workers on other nodes all would pass through the one that runs the job."""
+    sizes: list[int] = []
+    finish = Tries.finish
+
+    def weigh(self, job, reply) -> None:
+        sizes.append(len(reply.value))
+        finish(self, job, reply)
+
+    monkeypatch.setattr(Tries, "finish", weigh)
+    changes = {"camera": {"exposure": {"full_scale": "auto"}}, "dataset": {"engine": "local", "workers": 1}}
+    root = trial.generate(**changes)
+    assert len(sizes) >= 1 + 16 + 5
+    # The first is the mask, which a process beside the one that runs the job designs.
+    assert max(sizes[1:]) < 1000 < (root / "train/0000/s00000000/measurement.exr").stat().st_size
+    assert verify(root).ok  # and nothing is left of the pilots' pictures
+
+
+def test_a_stack_that_is_made_again_must_be_that_of_the_samples(trial, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = trial.plugins.read_text()
+    trial.plugins.write_text(code.replace("default_rng(seed)", "default_rng(int(os.environ['MASK']))"))
+    monkeypatch.setenv("MASK", "1")
+    root = trial.generate()
+    stack = read_psf_stack(root / "psf").values
+    shutil.rmtree(root / "psf")
+    monkeypatch.setenv("MASK", "2")
+    monkeypatch.setenv("FLATLIGHT_CACHE_DIR", str(trial.folder / "of another machine"))
+    with pytest.raises(InputError, match=rf"^{root}/psf: .*not the stack of the samples"):
+        trial.generate(dataset={"train": 4})
+    assert not (root / "psf").exists()
+    monkeypatch.setenv("MASK", "1")
+    monkeypatch.setenv("FLATLIGHT_CACHE_DIR", str(trial.folder / "of a third"))
+    trial.generate(dataset={"train": 4})
+    np.testing.assert_array_equal(read_psf_stack(root / "psf").values, stack)
+    assert verify(root).ok
 
 
 def test_a_plugin_that_changes_the_folder_moves_no_sample(

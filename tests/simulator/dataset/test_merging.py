@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from simulator.dataset import generate, verify
+from simulator.dataset.fingerprint import cpu_level
 from simulator.dataset.manifest import SkippedWriter, load_manifest, rewrite_manifest
 from simulator.dataset.merging import merge
 from simulator.dataset.sample import sample_index
@@ -43,6 +44,21 @@ def test_parts_make_the_data_set_that_one_run_makes(parts: list[Path], tmp_path:
     again = merge(tmp_path / "new", apart)
     assert (again.taken, again.there) == (0, 10)
     assert verify(tmp_path / "new").ok
+
+
+def test_samples_of_a_part_from_another_processor_keep_its_name(parts: list[Path], tmp_path: Path) -> None:
+    root = tmp_path / "elsewhere"
+    shutil.copytree(parts[1], root)
+    info = (root / "dataset.json").read_text()
+    (root / "dataset.json").write_text(info.replace(f'"cpu": "{cpu_level()}"', '"cpu": "riscv64 V"'))
+    merge(tmp_path / "new", [parts[0], root])
+    made_on = {key: entry.cpu for key, entry in load_manifest(tmp_path / "new").entries.items()}
+    own = load_manifest(parts[0]).entries
+    assert made_on == {key: None if key in own else "riscv64 V" for key in made_on}
+    assert len(made_on) == 10
+    merge(tmp_path / "again", [root, tmp_path / "new"])
+    made_on = {key: entry.cpu for key, entry in load_manifest(tmp_path / "again").entries.items()}
+    assert made_on == {key: cpu_level() if key in own else None for key in made_on}
 
 
 def test_into_one_of_the_parts_and_after_an_interruption(

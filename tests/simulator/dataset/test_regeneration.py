@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import yaml
 
-from simulator.dataset import generate, open_dataset
+from simulator.dataset import generate, open_dataset, verify
+from simulator.dataset.fingerprint import cpu_level
 from simulator.dataset.manifest import load_manifest
 from simulator.dataset.regeneration import TOLERANCE, named_sample, regenerate, some_samples
 from simulator.dataset.sample import write_sample
@@ -114,6 +115,29 @@ def test_elsewhere_samples_agree_to_a_tolerance(copy: Path, made, monkeypatch) -
     again = regenerate(copy, [("train", "s00000000")], config=made[0].path)
     assert again.samples[0].identical
     assert again.elsewhere[0].startswith("cpu: x86_64 SSE42 -> ")
+
+
+def test_each_sample_knows_on_which_kind_of_processor_it_was_made(trial, monkeypatch) -> None:
+    """In a cluster of several kinds: only of the others' samples some digits may differ."""
+    root = trial.generate()
+    said: list[str] = []
+    with monkeypatch.context() as patch:
+        patch.setattr("simulator.dataset.recipe.cpu_level", lambda: "riscv64 V")
+        generate(trial.write(dataset={"train": 5}), say=said.append)
+    assert [line for line in said if "riscv64 V" in line] == [line for line in said if "last digits" in line]
+    assert sum("riscv64 V" in line for line in said) == 1
+    made_on = {key: entry.cpu for key, entry in load_manifest(root).entries.items() if key[0] == "train"}
+    assert list(made_on.values()) == [None, None, None, "riscv64 V", "riscv64 V"]
+    assert verify(root).ok
+    found = regenerate(root, list(made_on), config=trial.path)
+    assert all(sample.identical for sample in found.samples)
+    assert found.elsewhere == (f"cpu: riscv64 V -> {cpu_level()}",)
+    for index in (2, 3):
+        sample = open_dataset(root)[index]
+        other = (sample.noiseless * (1 + 0.1 * TOLERANCE)).astype(np.float32)
+        write_sample(root, "train", index, type(sample)(**{**vars(sample), "noiseless": other}))
+    found = regenerate(root, [("train", "s00000002"), ("train", "s00000003")], config=trial.path)
+    assert [sample.fault == "" for sample in found.samples] == [False, True]
 
 
 def test_another_configuration_or_sample_is_refused(made, tmp_path: Path) -> None:

@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 
 from simulator.io import locks
+from simulator.io.files import StorageError
+from simulator.io.lines import open_locked
 from simulator.io.locks import take_lock
 
 HOLDER = """
@@ -106,11 +108,20 @@ def test_a_killed_process_holds_nothing(path: Path, held: Held) -> None:
 def test_where_there_are_no_locks(path: Path, monkeypatch: pytest.MonkeyPatch, wait: bool) -> None:
     """On a file system that has none, and on a system without fcntl."""
 
-    def refuse(*_: object) -> None:
-        raise OSError(errno.ENOLCK, "no locks available")
+    def answer(number: int) -> None:
+        def refuse(*_: object) -> None:
+            raise OSError(number, os.strerror(number))
+
+        monkeypatch.setattr(fcntl, "flock", refuse)
 
     with path.open("ab") as file:
-        monkeypatch.setattr(fcntl, "flock", refuse)
-        assert take_lock(file, wait=wait) is None
+        for number in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
+            answer(number)
+            assert take_lock(file, wait=wait) is None
+        answer(errno.EIO)  # says nothing of locks
+        with pytest.raises(OSError, match=os.strerror(errno.EIO)):
+            take_lock(file, wait=wait)
+        with pytest.raises(StorageError, match=os.strerror(errno.EIO)):
+            open_locked(path, wait=wait)
         monkeypatch.setattr(locks, "fcntl", None)
         assert take_lock(file, wait=wait) is None
