@@ -104,6 +104,7 @@ def connected(workers: int | None, settings: RayConfig | None) -> Iterator[None]
         environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
         options = {"num_cpus": workers, "object_store_memory": _OBJECT_STORE_BYTES, "include_dashboard": False}
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray would report its use to its makers
+    os.environ.setdefault("RAY_task_oom_retries", "0")  # by Ray for ever, while the tries of a task are ours to count
     main = threading.current_thread() is threading.main_thread()
     ours = signal.getsignal(signal.SIGTERM)
     try:
@@ -205,6 +206,10 @@ class Cluster:
                 news = future.result()
             except self._ray.exceptions.RayTaskError as error:  # of a node that lacks what workers need, such as us
                 news = _StartDeath(f"a node cannot make samples: {described(error.cause or error)}", killed=False)
+            except self._ray.exceptions.OutOfMemoryError:
+                cure = "give dataset.ray.memory_gb, so that fewer samples at a time are made on a node"
+                self._tries.lose(job, Death(f"its node ran out of memory, and Ray ended it: {cure}", killed=True))
+                continue
             except self._ray.exceptions.RayError as error:
                 self._tries.lose(job, Death(f"its Ray worker ended: {described(error).splitlines()[0]}", killed=False))
                 continue

@@ -289,3 +289,31 @@ def test_one_broken_machine_of_many_does_not_end_the_run() -> None:
         failed.refuse_hopeless()
     failed.clear()
     failed.refuse_hopeless()
+
+
+NO_MEMORY = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import engine_tasks
+from simulator.dataset.engines import run
+from simulator.errors import InputError
+if __name__ == "__main__":
+    try:
+        for outcome in run("ray", engine_tasks.sleep, [30.0, 31.0, 32.0, 33.0], workers=2):
+            print(outcome.attempts, outcome.error)
+    except InputError as error:
+        print(error)
+"""
+
+
+@pytest.mark.slow
+def test_where_ray_finds_no_memory_tasks_are_not_tried_for_ever(tmp_path: Path) -> None:
+    """Ray itself would start them again without end; here its monitor takes any use of memory for too much."""
+    (tmp_path / "parent.py").write_text(NO_MEMORY)
+    monitor = {"RAY_memory_usage_threshold": "0.0001", "RAY_memory_monitor_refresh_ms": "200"}
+    run_it = [sys.executable, str(tmp_path / "parent.py"), str(HERE)]
+    done = subprocess.run(run_it, env=os.environ | monitor, capture_output=True, text=True, timeout=120, check=True)
+    *tasks, end = (line for line in done.stdout.splitlines() if "memory" in line and "(raylet)" not in line)
+    assert len(tasks) >= 3
+    assert all(line.startswith("3 its node ran out of memory") for line in tasks)
+    assert end.startswith("workers: they were killed over")
