@@ -22,6 +22,7 @@ from typing import Any
 from simulator.errors import InputError
 from simulator.text import show
 
+_PART_BYTES = 8 << 20
 _URL = re.compile(r"(?P<store>(s3|gs|az)://[^/]+)/*(?P<path>.*)")
 
 
@@ -108,12 +109,16 @@ class StorePath:
         with _os_errors():
             return bytes(_obstore().get(self._client, str(self._path)).bytes())
 
-    def open(self, mode: str = "rb") -> io.BytesIO:
-        """Return an object's content as a file to be read; errors as `read_bytes`."""
+    def open(self, mode: str = "rb") -> io.BufferedIOBase:
+        """Return an object's content as a file to be read: at once, or a large one part by part; errors as `read_bytes`."""
         if mode != "rb":
             msg = f"mode: got {mode!r}, expected 'rb'"
             raise ValueError(msg)
-        return io.BytesIO(self.read_bytes())
+        with _os_errors():
+            found = _obstore().get(self._client, str(self._path))
+            if found.meta["size"] <= _PART_BYTES:
+                return io.BytesIO(bytes(found.bytes()))
+            return io.BufferedReader(_Parts(self._client, found.meta), _PART_BYTES)
 
     def is_file(self) -> bool:
         """Whether there is an object of this name.
@@ -216,6 +221,34 @@ class StorePath:
     @property
     def _client(self) -> Any:
         return _client(self._store)
+
+
+class _Parts(io.RawIOBase):
+    """A large object's content, a request for each part; an error where the object is replaced meanwhile."""
+
+    def __init__(self, client: Any, meta: Any) -> None:
+        self._client, self._meta, self._at = client, meta, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        self._at = max(0, offset + (0, self._at, self._meta["size"])[whence])
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        end = min(self._at + len(buffer), self._meta["size"])
+        if end <= self._at:
+            return 0
+        options = {"range": (self._at, end), "if_match": self._meta["e_tag"]}
+        with _os_errors():
+            part = bytes(_obstore().get(self._client, self._meta["path"], options=options).bytes())
+        buffer[: len(part)] = part
+        self._at += len(part)
+        return len(part)
 
 
 Place = Path | StorePath

@@ -1,8 +1,10 @@
 """Places in object stores, against a server that knows ``If-None-Match``."""
 
 import errno
+import io
 import os
 import pickle
+import tracemalloc
 from collections.abc import Iterator
 from itertools import count
 from pathlib import Path, PurePosixPath
@@ -11,7 +13,7 @@ import pytest
 
 from simulator.errors import InputError
 from simulator.io import store
-from simulator.io.files import StorageError, committed_folder, sha256_file, write_atomic
+from simulator.io.files import StorageError, committed_folder, read_text, sha256_bytes, sha256_file, write_atomic
 from simulator.io.lines import StoredLines, read_lines
 from simulator.io.store import StorePath, check_store, place, relative_name
 
@@ -76,6 +78,35 @@ def test_reading_writing_listing(root: StorePath) -> None:
     (root / "a.json").unlink()
     (root / "psf").remove_all()
     assert [path.name for path in root.iterdir()] == ["psf.txt"]
+
+
+def test_large_objects_are_read_part_by_part(root: StorePath) -> None:
+    """A list of a million samples takes the memory of a part, and of what is too large no more than that is fetched."""
+    path = root / "manifest.jsonl"
+    lines = [b'{"number": %d, "digest": "%064d"}\n' % (number, number) for number in range(300_000)]
+    data = b"".join(lines)
+    path.write_bytes(data)
+    assert len(data) > 3 * store._PART_BYTES
+    assert list(read_lines(path)) == lines
+    assert sha256_file(path) == sha256_bytes(data)
+    with path.open() as file:
+        file.seek(-20, io.SEEK_END)
+        assert file.read() == data[-20:]
+        file.seek(len(data) + 5)
+        assert file.read() == b""
+        file.seek(store._PART_BYTES - 3)
+        assert file.read(6) == data[store._PART_BYTES - 3 :][:6]
+    tracemalloc.start()
+    with pytest.raises(InputError, match="larger than 1024 KiB"):
+        read_text(path, "anything", max_bytes=1 << 20)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 2.5 * store._PART_BYTES < len(data)
+    with path.open() as file:
+        file.read(10)
+        path.write_bytes(data[::-1])
+        with pytest.raises(OSError, match=r"(?i)precondition"):
+            file.read()  # two halves of two objects are none
 
 
 def test_more_objects_than_one_answer_lists(root: StorePath) -> None:
