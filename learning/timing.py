@@ -13,7 +13,7 @@ from simulator.camera.shutter import Shutter, shutter_from_record, shutter_recor
 from simulator.camera.slivers import sliver_edges
 from simulator.dataset.manifest import load_manifest
 from simulator.dataset.reader import Dataset
-from simulator.dataset.sample import StoredSample, sample_folder, sample_index
+from simulator.dataset.sample import StoredSample, stored_folder
 from simulator.errors import InputError
 from simulator.text import show
 
@@ -119,7 +119,7 @@ def recorded_timing(dataset: Dataset) -> Timing | None:
     if len(dataset):
         return sample_timing(dataset, dataset.stored(0))
     for split, name in load_manifest(dataset.root).entries:
-        return sample_timing(dataset, StoredSample(sample_folder(dataset.root, split, sample_index(name))))
+        return sample_timing(dataset, StoredSample(stored_folder(dataset.root, split, name)))
     if dataset.config["scene"].get("frames") in (None, 1):
         return None
     raise InputError(dataset.root, "has no sample from which to tell the times of its frames; generate some first")

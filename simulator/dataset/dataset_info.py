@@ -23,6 +23,8 @@ from simulator.settings import fields_from
 from simulator.text import show
 
 FILE = "dataset.json"
+EXPORT = "export.json"
+"""In a folder that holds an export of a data set, beside a copy of ``FILE`` or not."""
 _SHUTTER = f"{FILE}: time.shutter"
 FORMAT = "flatlight-dataset"
 FORMAT_VERSION = 1
@@ -142,12 +144,16 @@ def read_info(root: Place | str) -> DatasetInfo:
     """Read ``dataset.json`` from the folder ``root``.
 
     Raises:
-        InputError: no such folder, not a data set, one with links in it, made by a newer version, or a damaged file.
+        InputError: no such folder, not a data set, an export, one with links in it, of a newer version, or a damaged file.
     """
     root = place(root)
     path = root / FILE
     if not root.is_dir():
         raise InputError(root, "no such folder; give the folder that `flatlight generate` wrote (dataset.output)")
+    if (root / EXPORT).is_file():
+        raise InputError(
+            root, f"an export ({EXPORT}), whose format other tools read; give the data set that it was made from"
+        )
     if not path.is_file():
         raise InputError(root, f"not a data set: it has no {FILE}; give the folder that `flatlight generate` wrote")
     if isinstance(root, Path):

@@ -9,8 +9,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from simulator.dataset.croissant import Columns, export_croissant
+from simulator.dataset.dataset_info import EXPORT
 from simulator.dataset.exports import hdf5, npz, parquet_index, webdataset
-from simulator.dataset.exports.output import HEAD, INDEX, Output, Progress
+from simulator.dataset.exports.output import INDEX, Output, Progress
 from simulator.dataset.exports.source import Source, open_source
 from simulator.errors import InputError
 from simulator.io.store import Place, place
@@ -113,7 +114,7 @@ def export(
 
 
 def _croissant(chosen: Format, source: Source, target: Output) -> bytes:
-    listed = {HEAD: None, INDEX: None, **(source.companions if chosen.alone else {})}
+    listed = {EXPORT: None, INDEX: None, **(source.companions if chosen.alone else {})}
     tables: dict[str, Columns] = {INDEX: _INDEX_COLUMNS}
     if chosen.columns is not None:
         tables = {name: chosen.columns(target.folder / name) for name in target.files}

@@ -15,6 +15,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from simulator.dataset.checksums import CROISSANT
+from simulator.dataset.dataset_info import EXPORT
 from simulator.dataset.exports.source import Source
 from simulator.dataset.manifest import Entry
 from simulator.dataset.verification import CheckedSample
@@ -34,7 +35,7 @@ from simulator.io.files import (
 from simulator.io.json import readable_json
 from simulator.io.lines import AppendedLines, line_of, read_lines
 
-HEAD, INDEX = "export.json", "index.jsonl"
+INDEX = "index.jsonl"
 Progress = Callable[[int, int], None]  # (samples done, samples in all)
 Writer = Callable[[Path], AbstractContextManager[Callable[[CheckedSample], None]]]
 """Opens a file to write to and gives the function that adds a sample."""
@@ -93,7 +94,7 @@ class Output:
         with storage_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
         self._lines = AppendedLines(folder / INDEX)
-        write_atomic(folder / HEAD, readable_json(head))
+        write_atomic(folder / EXPORT, readable_json(head))
         remove_leftovers(folder)
         self._known = {file.name: file for file in read_index(folder)}
 
@@ -167,12 +168,12 @@ def _refuse_others(folder: Path, head: bytes) -> None:
         return
     if not folder.is_dir():
         raise InputError("--output", f"{folder} is a file; choose a folder")
-    if not (folder / HEAD).exists():
+    if not (folder / EXPORT).exists():
         names = [path.name for path in sorted(folder.iterdir()) if not path.name.startswith(TEMPORARY_PREFIX)]
         if names and not (names == [INDEX] and not read_index(folder)):  # as left by a run that died at once
             raise InputError("--output", f"{folder} holds other files ({names[0]}, ...); choose another folder")
         return
-    if read_limited(folder / HEAD, "the description of an export") != head:
+    if read_limited(folder / EXPORT, "the description of an export") != head:
         raise InputError(
             "--output",
             f"{folder} holds another export, or one of the data set as it was before; choose another folder, or delete it",

@@ -11,6 +11,7 @@ from types import ModuleType
 
 import pytest
 
+from simulator.dataset import open_dataset
 from simulator.dataset.checksums import CHECKSUMS, write_seal
 from simulator.dataset.exports import FORMATS, export
 from simulator.dataset.sample import write_sample
@@ -163,6 +164,8 @@ def test_a_folder_that_holds_something_else(dataset: Path, tmp_path: Path, sampl
         export(dataset, "webdataset", out)
     (out / "thesis.tex").unlink()
     export(dataset, "webdataset", out)
+    with pytest.raises(InputError, match=f"^{out}: an export"):
+        open_dataset(out)  # it has the description of the data set, but no samples
     other = samples.make_dataset(tmp_path / "other", lambda index: samples.make_sample(index + 1))
     for changes in ({"to": "npz"}, {"shard_bytes": 1000}, {"splits": ["train"]}, {"path": other}):
         with pytest.raises(InputError, match=r"--output: .*another export"):
