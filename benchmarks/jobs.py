@@ -4,8 +4,8 @@
 
 Samples are real ones of a small camera, measured, written and hashed; their scene burns CPU time up to 0.3 CPU-s a sample.
 Every figure is a difference between a long and a short job, so that starting cancels out, in turn with the bare recipe, which
-makes the same samples in one process. CPU seconds are those of the job's whole process tree; wall times tell what a user
-waits, and mean something on an idle machine only.
+makes the same samples in one process. CPU seconds are those of the job's whole process tree, but of Ray, whose processes are
+no children of the job; wall times are what a user waits, and mean something on an idle machine only.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from pathlib import Path
 from statistics import median
 
 CPU_S = 0.3
-SHORT = 2
+SHORT = 4  # samples of the short job: as many as there are exposure pilots in the long one
 
 PLUGINS = '''
-"""A mask and scenes that cost what they are told to."""
+"""A mask, and scenes that take as much CPU time as is asked for."""
 
 import time
 from dataclasses import dataclass
@@ -141,7 +141,7 @@ class Bench:
         (folder / "plugins.py").write_text(PLUGINS)
         self.psf = folder / "psf_of_all"
         root = self.folder / "first"
-        self.run(JOB, self.config(1, "inline", 1, root))
+        timed(JOB, self.config(1, "inline", 1, root))
         (root / "psf").rename(self.psf)
 
     def config(self, train: int, engine: str, workers: int, output: Path | None = None, cpu_s: float = CPU_S) -> Path:
@@ -154,20 +154,15 @@ class Bench:
         )
         return path
 
-    @staticmethod
-    def run(code: str, *arguments: object) -> Times:
-        """Run code, timed."""
-        return timed(code, *arguments)
-
     def bare(self, samples: int) -> Times:
         """Return what each sample takes in one process without machinery."""
-        long, short = (self.run(BARE, self.config(n, "inline", 1), n, self.psf) for n in (samples + SHORT, SHORT))
+        long, short = (timed(BARE, self.config(n, "inline", 1), n, self.psf) for n in (samples + SHORT, SHORT))
         return Times((long - short).wall / samples, (long - short).cpu / samples)
 
     def job(self, samples: int, engine: str, workers: int) -> Times:
         """Return what each sample takes in a job."""
         short = SHORT * workers
-        long, begun = (self.run(JOB, self.config(n, engine, workers)) for n in (samples + short, short))
+        long, begun = (timed(JOB, self.config(n, engine, workers)) for n in (samples + short, short))
         return Times((long - begun).wall / samples, (long - begun).cpu / samples)
 
 
@@ -190,19 +185,20 @@ def overheads(bench: Bench, samples: int, rounds: int, ray: bool) -> None:
     print(f"{samples} samples of {CPU_S} CPU-s and more, {rounds} rounds, medians\n")
     print(f"{'':20}{'CPU s':>8}{'over bare':>11}{'wall s':>9}{'samples/s over one worker':>28}")
     for name, times in found.items():
-        over = median(one.cpu / ours.cpu - 1 for one, ours in zip(times, bare, strict=True))
         engine = name.split(",")[0]
+        over = median(one.cpu / ours.cpu - 1 for one, ours in zip(times, bare, strict=True))
         alone = found.get(f"{engine}, 1 worker")
         scale = "" if alone is None else f"{median(a.wall / b.wall for a, b in zip(alone, times, strict=True)):.2f}"
         cpu, wall = median(one.cpu for one in times), median(one.wall for one in times)
-        print(f"{name:20}{cpu:8.3f}{over:+11.1%}{wall:9.3f}{scale:>28}")
+        costs = f"{'':19}" if engine == "ray" else f"{cpu:8.3f}{over:+11.1%}"
+        print(f"{name:20}{costs}{wall:9.3f}{scale:>28}")
 
 
 def resume(bench: Bench, records: int) -> None:
     """Print what it takes to find that nothing is left to do of so many samples, from their records alone."""
     root = bench.folder / "large"
     path = bench.config(SHORT, "inline", 1, root, cpu_s=0.0)
-    bench.run(JOB, path)
+    timed(JOB, path)
     (root / "checksums.json").unlink()
     with (root / "manifest.jsonl").open("a", encoding="utf-8") as file:
         file.writelines(record(index) for index in range(SHORT, records))
