@@ -103,6 +103,14 @@ first = next(at for at, stage in seen if stage == "samples")
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 print(first, time.perf_counter() - begin, peak, result.kept, result.made)
 """
+PARSE = """
+import sys, time, json
+begin = time.perf_counter()
+with open(sys.argv[1], "rb") as file:
+    for line in file:
+        json.loads(line)
+print(time.perf_counter() - begin)
+"""
 MERGE = """
 import sys, time, resource
 from pathlib import Path
@@ -131,6 +139,12 @@ def timed(code: str, *arguments: object) -> Times:
     subprocess.run(words, check=True, capture_output=True, env=os.environ | {"OMP_NUM_THREADS": "1"})
     wall, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
     return Times(wall, sum(getattr(after, name) - getattr(before, name) for name in ("ru_utime", "ru_stime")))
+
+
+def printed(code: str, *arguments: object) -> list[str]:
+    """Run Python code in a process of its own and return the words that it printed."""
+    words = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.run(words, check=True, capture_output=True, text=True).stdout.split()
 
 
 class Bench:
@@ -202,10 +216,11 @@ def resume(bench: Bench, records: int) -> None:
     (root / "checksums.json").unlink()
     with (root / "manifest.jsonl").open("a", encoding="utf-8") as file:
         file.writelines(record(index) for index in range(SHORT, records))
-    words = [sys.executable, "-c", RESUME, str(bench.config(records, "inline", 1, root, cpu_s=0.0))]
+    (parsed,) = printed(PARSE, root / "manifest.jsonl")
+    print(f"lines of {records:,} records parsed by json.loads, and no more, in {float(parsed):.1f} s")
+    config = bench.config(records, "inline", 1, root, cpu_s=0.0)
     for run in ("first", "second"):
-        done = subprocess.run(words, check=True, capture_output=True, text=True)
-        first, whole, peak, kept, made = done.stdout.split()
+        first, whole, peak, kept, made = printed(RESUME, config)
         print(
             f"{run} resume of {records:,} records: nothing left to do known after {float(first):.1f} s, sealed after "
             f"{float(whole):.1f} s, peak memory {float(peak):.0f} MB, kept {kept}, made {made}"
@@ -220,8 +235,7 @@ def merge(bench: Bench, records: int) -> None:
         own.mkdir(parents=True)
         with (own / "manifest.jsonl").open("w", encoding="utf-8") as file:
             file.writelines(record(index) for index in range(number, records, 100))
-    done = subprocess.run([sys.executable, "-c", MERGE, str(root)], check=True, capture_output=True, text=True)
-    whole, peak = done.stdout.split()
+    whole, peak = printed(MERGE, root)
     print(
         f"lists of 100 shards with {records:,} records merged in {float(whole):.1f} s, peak memory {float(peak):.0f} MB"
     )

@@ -6,6 +6,7 @@ import json
 import sys
 import time
 import warnings
+from abc import ABC, abstractmethod
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Self
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 _PLAIN_EVERY_S = 10.0
 
 
-class _Progress:
+class _Progress(ABC):
     """What bar and log share: warnings that the library raises become lines, rates are counted from a stage's beginning."""
 
     def __enter__(self) -> Self:
@@ -34,9 +35,9 @@ class _Progress:
     def __exit__(self, *_: object) -> None:
         self._warnings.__exit__(None, None, None)
 
+    @abstractmethod
     def say(self, line: str) -> None:
         """Show a line."""
-        raise NotImplementedError
 
     def watch(self, facts: Facts) -> None:
         """Take what else is known of a job's samples, for the next ``update``."""
