@@ -82,6 +82,16 @@ def length(value_m: float) -> str:
     return f"{float(f'{value_m / factor:.3g}'):g} {unit}"
 
 
+def counted(count: int, what: str) -> str:
+    """Return a number of things.
+
+    Example:
+        >>> counted(1, "sample"), counted(4000, "sample")
+        ('1 sample', '4,000 samples')
+    """
+    return f"{count:,} {what}{'' if count == 1 else 's'}"
+
+
 def share(value: float) -> str:
     """Return a share in percent with two digits where it is small, three where it is near the whole.
 

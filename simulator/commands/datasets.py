@@ -78,7 +78,7 @@ def generate(
         bool, typer.Option("--log-json", help="tell progress, messages and the result on stdout, a line of JSON each")
     ] = False,
     estimate: Annotated[
-        bool, typer.Option("--estimate", help="make two samples, throw them away, and say what all will cost")
+        bool, typer.Option("--estimate", help="make three samples, throw them away, and say what all will cost")
     ] = False,
     price: Annotated[
         float | None, typer.Option("--price", min=0, help="with --estimate: of a CPU-hour, in any currency")
@@ -91,7 +91,8 @@ def generate(
     if price is not None and not estimate:
         raise InputError("--price", f"got {price:g} without --estimate, which alone uses it; add that, or leave it out")
     if estimate:
-        beside = {"--shard": shard, "--repair": repair, "--log-json": log_json}
+        beside = {"--shard": shard, "--repair": repair, "--log-json": log_json, "--skip-bad": skip_bad}
+        beside |= {"--accept-exposure": accept_exposure, "--ignore-space": ignore_space}
         for option in (option for option, value in beside.items() if value):
             raise InputError(option, "got it beside --estimate, which makes no data set; leave one of them out")
         _estimate(config, set_ or [], price)
@@ -117,8 +118,8 @@ def generate(
             raise
         if isinstance(shown, JsonLog):
             shown.tell("end", **vars(result))
-        else:
-            _tell(result)
+    if not log_json:
+        _tell(result)  # once the bar has ended, which draws stdout's lines as its own
     if result.failed or (shard is None and not result.made + result.kept):
         raise typer.Exit(1)
 

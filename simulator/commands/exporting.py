@@ -18,8 +18,11 @@ def export(
         list[str] | None, typer.Option("--split", help="train, validation or test; may be repeated [default: all]")
     ] = None,
     shard_mb: Annotated[
-        int, typer.Option("--shard-mb", min=1, help="size of webdataset's and hdf5's files at most, in 10^6 bytes")
-    ] = 512,
+        int | None,
+        typer.Option(
+            "--shard-mb", min=1, help="size of webdataset's and hdf5's files at most, in 10^6 bytes; else 512"
+        ),
+    ] = None,
     partial: Annotated[
         bool, typer.Option("--partial", help="export what is finished of an unfinished data set")
     ] = False,
@@ -35,7 +38,7 @@ def export(
             to,
             output,
             splits=split or (),
-            shard_bytes=shard_mb * 1_000_000,
+            shard_bytes=None if shard_mb is None else shard_mb * 1_000_000,
             partial=partial,
             progress=lambda done, total: bar.update("samples exported", done, total),
         )

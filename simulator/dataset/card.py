@@ -37,9 +37,12 @@ _LAYOUT = """\
 dataset.json       configuration, fingerprint, versions, exposure, sizes
 manifest.jsonl     a line per sample: id, split, digest, seed, label, seconds
 checksums.json     SHA-256 of every file that the samples' digests do not cover
+report.html        the page to look at             contact_sheet.png, croissant.json: for galleries and indexes
 psf/               the PSFs that were used: an EXR file per depth, and psf.json
+psf_captured/      where there is one, the same as a calibration of the camera measures them
 train/0000/s00000012/   sample.json (metadata, SHA-256 of the files), measurement.exr (channels, noiseless.*),
-                        ground_truth.exr (R, G, B, Z, valid); of clips frames/ground_truth.0000.exr and so on
+                        ground_truth.exr (R, G, B, Z, valid), surroundings.exr where light comes from beside the image;
+                        of clips frames/ground_truth.0000.exr and so on
 ```"""
 _READING = """\
 Read samples as NumPy arrays, with the package `flatlight`:
@@ -151,7 +154,7 @@ def _labels(labels: Mapping[str, int]) -> list[str]:
 
 def _sizes(info: DatasetInfo) -> Rows:
     pixels = "{} x {} pixels"
-    yield "measurement", f"{pixels.format(*info.sensor_shape)}, channels {', '.join(info.channels)}, DN / 2^bits"
+    yield "measurement", f"{pixels.format(*info.sensor_shape)}, channels {', '.join(info.channels)}, {info.unit}"
     yield "ground truth", f"{pixels.format(*info.scene_shape)}, R, G, B in linear radiance, depth in metres"
 
 

@@ -7,7 +7,9 @@ a data set records neither.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from fnmatch import fnmatchcase
+from itertools import chain
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -15,7 +17,16 @@ from urllib.parse import quote
 from simulator.dataset.checksums import CROISSANT
 from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info
 from simulator.dataset.manifest import MANIFEST, finished_samples
-from simulator.dataset.sample import DESCRIPTION, FRAMES, GROUND_TRUTH, MEASUREMENT, SPLITS, SURROUNDINGS
+from simulator.dataset.sample import (
+    DESCRIPTION,
+    FRAMES,
+    GROUND_TRUTH,
+    MEASUREMENT,
+    SPLITS,
+    SURROUNDINGS,
+    read_description,
+    sample_folder,
+)
 from simulator.io.files import sha256_file, write_atomic
 from simulator.io.json import readable_json
 from simulator.io.store import Place, size_of
@@ -77,7 +88,7 @@ def croissant(root: Place) -> bytes:
     splits = [split for split in SPLITS if split in counts]
     hashed = f"its SHA-256 stands in the sample's {DESCRIPTION}, whose digest stands in {MANIFEST}"
     kinds = {
-        "measurements": ([MEASUREMENT], f"what the camera measured, R, G, B = DN / 2^bits, and noiseless; {hashed}"),
+        "measurements": ([MEASUREMENT], f"what the camera measured, R, G, B = {info.unit}, and noiseless; {hashed}"),
         "ground-truth": (
             [GROUND_TRUTH, f"{FRAMES}/ground_truth.*.exr"],
             f"linear radiance R, G, B, depth Z in metres from the mask plane, valid, per frame; {hashed}",
@@ -92,11 +103,21 @@ def croissant(root: Place) -> bytes:
         if (root / name).exists():
             distribution.append(_file(root, name, f"the PSFs {what}: depths, errors and SHA-256 of each"))
             distribution.append(_files(folder, [f"{folder}/*.exr"], f"a PSF per depth; SHA-256 in {name}"))
+    there = _names(root, finished)
     for name, (files, text) in kinds.items():
-        distribution.append(_files(name, [f"{split}/*/*/{file}" for split in splits for file in files], text))
+        found = [file for file in files if any(fnmatchcase(one, file) for one in there)]
+        if found:
+            distribution.append(_files(name, [f"{split}/*/*/{file}" for split in splits for file in found], text))
     types = {"id": "string", "split": "string", "digest": "string", "seed": "int64", "label": "string"}
     records = [_splits(splits), _records("samples", MANIFEST, types)]
     return _document(info, counts, distribution, records)
+
+
+def _names(root: Place, finished: Mapping[str, Collection[int]]) -> set[str]:
+    """Return what the files of a sample are called, as the first of each split has them."""
+    first = [(split, min(indices)) for split, indices in finished.items() if indices]
+    found = [read_description(sample_folder(root, *key))[0]["files"] for key in first]
+    return {DESCRIPTION, *chain.from_iterable(found)}
 
 
 def export_croissant(

@@ -41,7 +41,7 @@ class DatasetInfo:
         fingerprint_parts: what was hashed, for readable comparisons.
         versions: package versions.
         backend: the renderer's variant.
-        exposure: the one scale from irradiance to DN / 2^bits, and how it was found.
+        exposure: the one scale from irradiance to DN / 2^bits, ``bit_depth``, and how it was found.
         counts: samples wanted per split.
         scene_shape: rows, columns of the ground truth.
         sensor_shape: rows, columns of the measurement.
@@ -99,6 +99,12 @@ class DatasetInfo:
             _expect(name, fits and math.prod(shape) <= MAX_VALUES, f"two sizes, {MAX_VALUES} pixels at most", shape)
         texts = isinstance(self.channels, tuple) and all(isinstance(name, str) for name in self.channels)
         _expect("channels", texts and len(self.channels) > 0, "a tuple of names", self.channels)
+
+    @property
+    def unit(self) -> str:
+        """The unit of measurements, in words."""
+        bits = self.exposure.get("bit_depth")
+        return f"DN / 2^{bits}" if _whole(bits, 1) else "DN / 2^bits"
 
     @property
     def colour_matrix(self) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""What a data set will cost in time, bytes, files and money, from two samples that are thrown away."""
+"""What a data set will cost in time, bytes, files and money, from three samples that are thrown away."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from simulator.dataset.recipe import Recipe, make_pilot, make_sample, perform
 from simulator.dataset.sample import sample_folder
 from simulator.errors import InputError
 from simulator.io.store import Place, size_of
-from simulator.optics.stack_files import PSF_FOLDER
-from simulator.text import duration, size
+from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER
+from simulator.text import counted, duration, size
 
 _PILOTS = 2
 _FILES_BESIDE = (
@@ -40,13 +40,14 @@ class Estimate:
         counts: samples wanted per split.
         preparation_s: wall time of mask and PSFs here; seconds where they are cached.
         start_s: wall time until a worker has made its first sample.
-        sample_s: wall time of a sample on one CPU, mean of two after one that warms up.
+        sample_s: wall time of a sample on one worker, mean of two after one that warms up.
+        sample_cpu_s: CPU time of a sample, of the same.
         sample_bytes: size of a sample, mean.
         sample_files: files of a sample.
-        stack_bytes: size of the PSF stack.
+        stack_bytes: size of the PSF stack, and of the captured one where there is one.
         other_files: files beside those of samples.
         memory_bytes: the most that a worker took.
-        workers: of this machine.
+        workers: of this machine, one for ``inline``.
         free_bytes: room where the data set is to lie; None in a store.
         price: per CPU-hour; None where it was not given.
     """
@@ -55,6 +56,7 @@ class Estimate:
     preparation_s: float
     start_s: float
     sample_s: float
+    sample_cpu_s: float
     sample_bytes: float
     sample_files: int
     stack_bytes: int
@@ -71,8 +73,8 @@ class Estimate:
 
     @property
     def cpu_hours(self) -> float:
-        """CPU-hours of all samples, each on one CPU."""
-        return self.samples * self.sample_s / 3600
+        """CPU-hours of all samples."""
+        return self.samples * self.sample_cpu_s / 3600
 
     @property
     def bytes(self) -> float:
@@ -89,11 +91,15 @@ class Estimate:
         wall_s = self.preparation_s + self.start_s + self.samples * self.sample_s / self.workers
         rows = [
             ("samples", f"{self.samples:,} ({splits})"),
-            ("each", f"{duration(self.sample_s)} on one CPU, {size(self.sample_bytes)} in {self.sample_files} files"),
+            (
+                "each",
+                f"{duration(self.sample_cpu_s)} of CPU time, {size(self.sample_bytes)} in {self.sample_files} files",
+            ),
             ("all", f"{self.cpu_hours:.3g} CPU-hours, {size(self.bytes)}, {self.files:,} files"),
             (
                 "here",
-                f"about {duration(wall_s)} with {self.workers} workers, {duration(self.preparation_s)} of it for PSFs",
+                f"about {duration(wall_s)} with {counted(self.workers, 'worker')}, {duration(self.preparation_s)} of "
+                "it for PSFs",
             ),
             ("memory", f"{size(self.memory_bytes)} for each worker"),
         ]
@@ -113,7 +119,7 @@ def estimate(
     progress: Report | None = None,
     say: Say | None = None,
 ) -> Estimate:
-    """Make two samples in a temporary folder and say what all will cost; nothing is written where the data set is to lie.
+    """Make three samples in a temporary folder and say what all will cost; nothing is written where the data set is to lie.
 
     Args:
         config: a configuration or the path of a ``sim_config.yaml``.
@@ -138,22 +144,24 @@ def estimate(
         recipe = replace(recipe, full_scale=_full_scale(plan, recipe, Path(made)))
         begin = time.perf_counter()
         costs = list(_pilots(plan, recipe, Path(made), progress))
-        start_s = time.perf_counter() - begin - sum(cost[0] for cost in costs[1:])
+        start_s = time.perf_counter() - begin - sum(cost.wall_s for cost in costs[1:])
         folders = [sample_folder(Path(made), split, index) for split, index in _some(plan)]
         sizes = [[size_of(path) for path in folder.rglob("*") if path.is_file()] for folder in folders]
-        stack_sizes = [path.stat().st_size for path in stack_folder.iterdir()]
+        stacks = (Path(made) / name for name in (PSF_FOLDER, CAPTURED_FOLDER))
+        stack_sizes = [path.stat().st_size for stack in stacks for path in stack.glob("*")]
     timed = costs[1:] or costs
     return Estimate(
         counts=plan.counts,
         preparation_s=preparation_s,
         start_s=max(0.0, start_s),
-        sample_s=sum(cost[0] for cost in timed) / len(timed),
+        sample_s=sum(cost.wall_s for cost in timed) / len(timed),
+        sample_cpu_s=sum(cost.cpu_s for cost in timed) / len(timed),
         sample_bytes=sum(map(sum, sizes)) / len(sizes),
         sample_files=max(map(len, sizes)),
         stack_bytes=sum(stack_sizes),
         other_files=len(stack_sizes) + _FILES_BESIDE,
-        memory_bytes=max(cost[1] for cost in costs),
-        workers=available_cpus() if config.dataset.workers == "auto" else config.dataset.workers,
+        memory_bytes=max(cost.memory_bytes for cost in costs),
+        workers=_workers(config),
         free_bytes=_free(plan.root),
         price=price,
     )
@@ -165,23 +173,42 @@ def _some(plan: Plan) -> list[tuple[str, int]]:
     return [(split, index) for index in range(min(_PILOTS + 1, count))]
 
 
-def _pilots(plan: Plan, recipe: Recipe, made: Path, progress: Report) -> list[tuple[float, int]]:
-    """Make the samples on one worker; returns the seconds that each took, and the most memory so far in bytes."""
+def _workers(config: Config) -> int:
+    """Return how many samples are made at a time here."""
+    chosen = config.dataset
+    if chosen.engine == "inline":
+        return 1
+    return available_cpus() if chosen.workers == "auto" else chosen.workers
+
+
+@dataclass(frozen=True)
+class _Cost:
+    """What a sample took: wall time, CPU time, and the most memory of its process so far."""
+
+    wall_s: float
+    cpu_s: float
+    memory_bytes: int
+
+
+def _pilots(plan: Plan, recipe: Recipe, made: Path, progress: Report) -> list[_Cost]:
+    """Make the samples on one worker; returns what each took."""
     chosen = _one_worker(plan.config)
     tasks = [(made, split, index) for split, index in _some(plan)]
     costs = []
     for number, outcome in enumerate(perform(chosen.dataset, _weighed, tasks, len(tasks), recipe), start=1):
         if outcome.value is None:
             raise outcome.error or InputError("scene", "no pilot sample could be made")
-        costs.append((outcome.seconds, outcome.value))
+        costs.append(_Cost(outcome.seconds, *outcome.value))
         progress("pilot samples", number, len(tasks))
     return costs
 
 
-def _weighed(task: tuple[Place, str, int]) -> int:
-    """Make a sample and return the most memory that this process took so far, bytes."""
+def _weighed(task: tuple[Place, str, int]) -> tuple[float, int]:
+    """Make a sample and return its CPU seconds, and the most memory that this process took so far, bytes."""
+    begin = time.process_time()
     make_sample(task)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    return time.process_time() - begin, most
 
 
 def _full_scale(plan: Plan, recipe: Recipe, made: Path) -> float:

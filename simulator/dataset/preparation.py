@@ -97,7 +97,7 @@ def _described(plan: Plan, stack: PsfStack, exposure: dict[str, Any]) -> Dataset
         fingerprint_parts=plan.parts,
         versions=plan.parts["versions"] | {"cpu": cpu_level()},
         backend=plan.recipe.backend,
-        exposure=exposure,
+        exposure=exposure | {"bit_depth": assembly.sensor.bit_depth},
         counts=plan.counts,
         scene_shape=config.scene.size,
         sensor_shape=config.camera.sensor.shape,

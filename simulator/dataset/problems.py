@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from simulator.errors import InputError
 from simulator.io.files import write_atomic
 from simulator.io.store import Place
+from simulator.text import counted
 
 PROBLEMS = "source_problems.txt"
 _SHOWN = 20
@@ -28,7 +29,7 @@ def refuse_problems(problems: Sequence[str]) -> None:
     if problems:
         raise InputError(
             "scene",
-            f"its source has {_counted(len(problems))}:\n{shortened(problems)}\nmend or remove what is named, or "
+            f"its source has {counted(len(problems), 'problem')}:\n{shortened(problems)}\nmend or remove what is named, or "
             "leave it out: flatlight generate --skip-bad",
         )
 
@@ -36,8 +37,5 @@ def refuse_problems(problems: Sequence[str]) -> None:
 def list_problems(root: Place, problems: Sequence[str]) -> str:
     """Write down what a source cannot use and return it as lines to be read."""
     write_atomic(root / PROBLEMS, "".join(f"{line}\n" for line in problems).encode())
-    return f"{_counted(len(problems))} of the source, gone on without ({PROBLEMS} lists all):\n{shortened(problems)}"
-
-
-def _counted(count: int) -> str:
-    return "1 problem" if count == 1 else f"{count} problems"
+    count = counted(len(problems), "problem")
+    return f"{count} of the source, gone on without ({PROBLEMS} lists all):\n{shortened(problems)}"

@@ -20,7 +20,7 @@ from simulator.dataset.sample import sample_id
 from simulator.dataset.shards import array_expression, shard_of
 from simulator.errors import InputError
 from simulator.io.store import Place, place
-from simulator.text import duration
+from simulator.text import counted, duration
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Status:
             lines.append("complete, but not sealed: the same `flatlight generate` seals it")
         if self.writers:
             lines.append(
-                f"{self.writers} lists of writers that are at work or died; the run that ends last merges them"
+                f"{counted(self.writers, 'list')} of writers that are at work or died; the run that ends last merges them"
             )
         return "\n".join(lines)
 

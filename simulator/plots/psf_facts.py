@@ -49,7 +49,7 @@ def psf_facts(
     if sampling == UNPROVEN:
         facts.append(("sampling", UNPROVEN))
     elif sampling:
-        facts.append(("error bar", f"{share(sampling['error_bar'])} of sampling"))
+        facts.append(("sampling error", f"at most {share(sampling['error_bar'])}"))
     if provenance.get("kind") == "measured":
         files = sorted({image["file"] for image in provenance["images"]})
         facts.append(("measured", files[0] if len(files) == 1 else f"{len(files)} images"))

@@ -24,6 +24,7 @@ class Format:
 
     Attributes:
         write: writes the files of the samples, at most so many bytes each, where the format has shards.
+        sharded: whether many samples share a file, whose size can be chosen.
         alone: whether the export can do without the data set: it gets its description and its stacks.
         package: what it needs that only the extra ``export`` installs.
         sets: patterns of the files, where they are too many to be listed one by one.
@@ -31,6 +32,7 @@ class Format:
     """
 
     write: Callable[[Source, Output, int, Progress], None]
+    sharded: bool = False
     alone: bool = True
     package: str | None = None
     sets: tuple[str, ...] = ()
@@ -38,8 +40,8 @@ class Format:
 
 
 FORMATS = {
-    "webdataset": Format(webdataset.write),
-    "hdf5": Format(hdf5.write, package="h5py"),
+    "webdataset": Format(webdataset.write, sharded=True),
+    "hdf5": Format(hdf5.write, sharded=True, package="h5py"),
     "npz": Format(npz.write, sets=("*/*/*.npz",)),
     "parquet-index": Format(parquet_index.write, alone=False, package="pyarrow", columns=parquet_index.columns),
 }
@@ -74,7 +76,7 @@ def export(
     output: Path | str,
     *,
     splits: Sequence[str] = (),
-    shard_bytes: int = 512_000_000,
+    shard_bytes: int | None = None,
     partial: bool = False,
     progress: Progress | None = None,
 ) -> ExportResult:
@@ -85,7 +87,7 @@ def export(
         to: one of ``FORMATS``.
         output: the folder to write to: missing, empty, or begun by the same export.
         splits: which splits; by default all.
-        shard_bytes: of a file, at most, in formats that put many samples into one.
+        shard_bytes: of a file, at most, in formats that put many samples into one; 512e6 by default.
         partial: export what is finished of a data set that is not.
         progress: called with (samples done, samples in all) after each sample.
 
@@ -99,12 +101,16 @@ def export(
     if (package := FORMATS[to].package) and find_spec(package) is None:
         cure = "pip install 'flatlight[export]', or in a clone uv run --extra export"
         raise InputError("--to", f"{to} needs the package {package}, which is not installed: {cure}")
-    if shard_bytes < 1:
-        raise InputError("--shard-mb", f"got {shard_bytes} bytes, expected more than none")
     chosen = FORMATS[to]
+    if shard_bytes is not None and not chosen.sharded:
+        raise InputError("--shard-mb", f"got it with --to {to}, whose files have one size only; leave it out")
+    most = 512_000_000 if shard_bytes is None else shard_bytes
+    if most < 1:
+        raise InputError("--shard-mb", f"got {shard_bytes} bytes, expected more than none")
     source = open_source(place(path), splits, partial_too=partial)
-    with Output(Path(output), source, {"to": to, "shard_bytes": shard_bytes}) as target:
-        chosen.write(source, target, shard_bytes, progress or (lambda done, total: None))
+    options = {"to": to} | ({"shard_bytes": most} if chosen.sharded else {})
+    with Output(Path(output), source, options) as target:
+        chosen.write(source, target, most, progress or (lambda done, total: None))
         if chosen.alone:
             target.copy_companions(source)
         target.finish(lambda: _croissant(chosen, source, target))

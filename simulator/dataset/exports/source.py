@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.dataset.dataset_info import FILE, DatasetInfo, check_shutter, read_info
-from simulator.dataset.manifest import MANIFEST, Entry, load_manifest, load_skipped
+from simulator.dataset.manifest import Entry, load_manifest, load_skipped
 from simulator.dataset.sample import DESCRIPTION, SPLITS, Sample, sample_folder, sample_index
 from simulator.dataset.verification import (
     UNSEALED,
@@ -90,8 +90,8 @@ class Source:
         if sample.problems:
             raise InputError(
                 self.root,
-                f"{sample.problems[0]}; restore it from a copy, or delete its folder and its line in {MANIFEST} and let the "
-                f"same `flatlight generate` make it again (`flatlight verify {self.root}` lists all faults)",
+                f"{sample.problems[0]}; restore it from a copy, or let `flatlight generate FILE --repair` make it anew "
+                f"(`flatlight verify {self.root}` lists all faults)",
             )
         return sample
 
@@ -119,7 +119,7 @@ def open_source(root: Place, splits: Sequence[str] = (), *, partial_too: bool = 
     for error in faults:
         raise error
     skipped = Counter(split for split, name in load_skipped(root) if (split, name) not in manifest.entries)
-    faulty = [UNSEALED] * (hashes is None) + check_lists(info, manifest, skipped)
+    faulty = check_lists(info, manifest, skipped) + [UNSEALED] * (hashes is None)
     if faulty and not partial_too:
         raise InputError(root, f"not finished: {faulty[0]}. To export what there is: --partial")
     shutter, lines = check_shutter(info)

@@ -20,18 +20,21 @@ _SHARES = {
     "saturated_share": ("Saturated", "% of a sample's values"),
     "black_share": ("Black", "% of a sample's values"),
     "below_noise_share": ("Below the noise", "% of a sample's values"),
+}
+_OUTSIDE = {
     "clamped_depth_share": ("Depth outside the PSFs' planes", "% of a sample's seen pixels"),
     "clamped_light_share": ("Light from outside the PSFs' planes", "% of a sample's light"),
 }
 
 
-def charts(root: Place, finished: int, samples: Sequence[Shown]) -> Html:
+def charts(root: Place, finished: int, samples: Sequence[Shown], planes: int) -> Html:
     """Return the histograms of a data set; a value that all samples share is told in words.
 
     Args:
         root: the data set's folder.
         finished: how many samples it has.
         samples: those that the page shows.
+        planes: depths of the PSFs; of a single one, which serves all depths, nothing is outside.
     """
     of = (
         f"all {finished:,} finished samples"
@@ -40,7 +43,7 @@ def charts(root: Place, finished: int, samples: Sequence[Shown]) -> Html:
     )
     drawn, told = list(_of_shown(samples)), []
     metadata = list(all_metadata(root, _MOST)) if finished else []
-    for key, (title, unit) in _SHARES.items():
+    for key, (title, unit) in (_SHARES | (_OUTSIDE if planes > 1 else {})).items():
         values = [value for one in metadata if (value := number_of(one, key)) is not None]
         if values and min(values) == max(values):
             told.append((f"{title}, {unit[2:]}", share(values[0])))

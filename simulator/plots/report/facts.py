@@ -30,7 +30,7 @@ from simulator.optics.stack_files import PSF_FOLDER, read_psf_stack
 from simulator.plots.psf_facts import psf_facts
 from simulator.plots.report.histograms import histogram, histogram_figure
 from simulator.plots.report.markup import Html, bar, facts, folded, joined, paragraph, shown, table
-from simulator.text import duration, share
+from simulator.text import counted, duration, share
 
 Result = TypeVar("Result")
 _LISTED = 50  # failures, skipped samples and labels
@@ -146,7 +146,7 @@ def label_table(records: Records) -> Html:
         for label, whole in sorted(kept)
     ]
     more = f", the {_LISTED} most frequent of {len(labels):,}" if len(labels) > _LISTED else ""
-    return table(f"Labels per split{more}", ("label", *splits, "all", ""), rows)
+    return table(f"Labels per split{more}", ("label", *splits, "all", "share of the most frequent"), rows)
 
 
 def failure_list(records: Records) -> Html:
@@ -156,7 +156,9 @@ def failure_list(records: Records) -> Html:
         return paragraph("No sample failed, none was skipped.")
     parts = []
     if failed:
-        parts.append(paragraph(f"{_counted(failed)} could not be made ({FAILED}); the next run tries again."))
+        parts.append(
+            paragraph(f"{counted(len(failed), 'sample')} could not be made ({FAILED}); the next run tries again.")
+        )
     for (split, name), failure in failed[:_LISTED]:
         tries = "tried once" if failure.attempts == 1 else f"tried {failure.attempts} times"
         reason = failure.reason.removesuffix(f" ({tries})")
@@ -165,14 +167,10 @@ def failure_list(records: Records) -> Html:
         parts.append(folded(head, trace))
     parts.append(_more(failed))
     if skipped:
-        parts.append(paragraph(f"{_counted(skipped)} was left out for good ({SKIPPED})."))
+        parts.append(paragraph(f"{counted(len(skipped), 'sample')} left out for good ({SKIPPED})."))
         rows = [(f"{split}/{name}", reason) for (split, name), reason in skipped[:_LISTED]]
         parts += [table("Skipped samples", ("sample", "reason"), rows), _more(skipped)]
     return joined(parts)
-
-
-def _counted(items: list[Any]) -> str:
-    return "1 sample" if len(items) == 1 else f"{len(items):,} samples"
 
 
 def _more(items: list[Any]) -> Html:
@@ -205,7 +203,7 @@ def time_parts(records: Records) -> Html:
     slowest = max(entries, key=lambda entry: entry.seconds)
     head = facts(
         [
-            ("in all", f"{seconds.sum() / 3600:.3g} CPU-hours"),
+            ("in all", f"{seconds.sum() / 3600:.3g} hours of one worker"),
             ("median of a sample", duration(float(np.median(seconds)))),
             ("slowest sample", f"{duration(slowest.seconds)}, {slowest.split}/{slowest.id}"),
         ]

@@ -22,6 +22,8 @@ function play(card, on) {
   if (on) playing.add(card);
   else playing.delete(card);
   button.firstChild.data = on ? "Pause" : "Play";
+  const every = find("[data-every]");
+  if (every) every.textContent = playing.size ? "Pause all clips" : "Play all clips";
   find("output", card).setAttribute("aria-live", on ? "off" : "polite"); // not five times a second
 }
 
@@ -43,9 +45,8 @@ document.addEventListener("click", ({ target }) => {
   const button = target.closest(".play");
   if (!button) return;
   if (!("every" in button.dataset)) return play(button.closest(".card"), !playing.has(button.closest(".card")));
-  const on = button.textContent.startsWith("Play");
+  const on = !playing.size;
   for (const slider of all(".cards .frames")) play(slider.closest(".card"), on);
-  button.textContent = on ? "Pause all clips" : "Play all clips";
 });
 
 // ---- one sample, large
@@ -60,12 +61,19 @@ function stop(root) {
 
 function showLarge(number) {
   const stage = find(".stage", dialog);
+  const inside = stage.contains(document.activeElement);
   stop(stage);
   current = (number + cards.length) % cards.length;
   stage.replaceChildren(cards[current].cloneNode(true));
   find(".open", stage).remove();
   stop(stage); // what was copied may have been playing
-  if (!dialog.open) dialog.showModal();
+  const name = cards[current].getAttribute("aria-label");
+  dialog.setAttribute("aria-label", `${name}, large`);
+  if (dialog.open) find("output", dialog).value = name;
+  else dialog.showModal();
+  if (!inside) return;
+  find(".play", stage)?.focus(); // what had the focus is gone
+  if (!dialog.contains(document.activeElement)) find("button", dialog).focus();
 }
 
 cards.forEach((card, number) => find(".open", card).addEventListener("click", () => showLarge(number)));
@@ -111,10 +119,11 @@ function explore() {
     source.setAttribute("cx", psf.columns[at.column] + 0.5);
     source.setAttribute("cy", psf.rows[at.row] + 0.5);
     images.forEach((image, depth) => image.parentNode.classList.toggle("chosen", depth === at.depth));
-    const light = psf.weights ? `Its light weighs ${weight.toFixed(2)} of the brightest direction's. ` : "";
+    const light = psf.weights ? `Irradiance from here: ${weight.toFixed(2)} of the brightest direction's. ` : "";
+    const scale_of = control("own") ? `${control("own").checked ? "this depth's own scale" : "one scale for all depths"}, ` : "";
     find(".controls output").value =
       `${light}White is ${white.toPrecision(2)} times the irradiance at the mask from the brightest direction, ` +
-      `${control("own")?.checked ? "this depth's own scale" : "one scale for all depths"}, square-root stretch.`;
+      `${scale_of}square-root stretch.`;
   }
 
   const nearest = (places, value) => places.reduce((best, place, number) =>

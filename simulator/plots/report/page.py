@@ -6,6 +6,7 @@ import base64
 import hashlib
 from collections.abc import Iterator
 from importlib.resources import files
+from statistics import median
 from string import Template
 
 from simulator.dataset.checksums import REPORT, write_beside
@@ -61,10 +62,11 @@ def report_html(root: Place | str, *, samples: int = SAMPLES) -> str:
     optics, data = _optics(records)
     # Wherever the folder lies, its page is the same.
     problems = [line.replace(f"{records.root}/", "") for line in records.problems + damaged]
+    planes = 0 if records.stack is None else len(records.stack.depths_m)
     parts = {
         "samples": ("Samples", _samples(found)),
         "psf": ("Point spread functions", optics),
-        "statistics": ("Exposure, noise and depth", charts(records.root, len(records.entries), found)),
+        "statistics": ("Exposure, noise and depth", charts(records.root, len(records.entries), found, planes)),
         "splits": ("Splits and labels", joined((split_table(records), label_table(records)))),
         "errors": ("Error budget", budget_table(records.budget)),
         "time": ("Time", time_parts(records)),
@@ -125,20 +127,19 @@ def _key_figures(records: Records, found: list[Shown]) -> Iterator[tuple[str, st
     saturated = [sample.shares["saturated"] for sample in found if "saturated" in sample.shares]
     if saturated:
         yield "saturated, mean of those shown", share(sum(saturated) / len(saturated))
-    snr = sorted(sample.snr_db for sample in found if sample.snr_db is not None)
-    if snr:
-        yield "median SNR of those shown", f"{snr[len(snr) // 2]:.1f} dB"
+    if snr := [sample.snr_db for sample in found if sample.snr_db is not None]:
+        yield "median SNR of those shown", f"{median(snr):.1f} dB"
     if records.budget:
         yield f"largest error: {records.budget[0].name}", share(records.budget[0].value)
     if records.entries:
-        yield "CPU time", duration(sum(entry.seconds for entry in records.entries.values()))
+        yield "time of the workers", duration(sum(entry.seconds for entry in records.entries.values()))
 
 
 def _notices(records: Records, problems: list[str]) -> Html:
     """Return what should be seen before anything else."""
     parts = []
-    if records.failed:
-        words = f"{len(records.failed):,} failed" + (f", {len(records.skipped):,} skipped" if records.skipped else "")
+    counts = {"failed": len(records.failed), "skipped": len(records.skipped)}
+    if words := ", ".join(f"{count:,} {what}" for what, count in counts.items() if count):
         parts.append(Html(f'<p class="notice">Samples: {words}. <a href="#failures">See why</a></p>'))
     if problems:
         lines = joined(Html(f"<li>{shown(line)}</li>") for line in problems)

@@ -41,6 +41,7 @@ class Shown:
         label: class name, or None.
         measurement: ``(H, W, 3)``, 1 is full scale.
         frames: of the scene, evenly chosen; the only one of a still.
+        whole: frames of its clip in all.
         times: which frames these are and when, in words; empty text for a still.
         shares: of the exposure, those that the metadata hold, by the names of `ExposureShares`.
         snr_db: 20 log10 of the rms of the noiseless measurement over that of the noise; None without noise or light.
@@ -50,6 +51,7 @@ class Shown:
     label: str | None
     measurement: NDArray[np.float32]
     frames: list[SceneFrame]
+    whole: int
     times: list[str]
     shares: dict[str, float]
     snr_db: float | None
@@ -97,6 +99,7 @@ def _read(stored: StoredSample, name: str, most: int) -> Shown:
         stored.label,
         three_channels(measurement, stored.channels),
         [stored.frame(number) for number in numbers],
+        stored.frames,
         times,
         {key: value for key in names if (value := number_of(metadata, f"{key}_share")) is not None},
         snr_db(measurement, noiseless),
@@ -137,6 +140,8 @@ def sample_cards(samples: Sequence[Shown]) -> Html:
         "Measurements: sRGB, white is full scale. Ground truth: sRGB, white is a radiance of "
         f"{white:.3g} for all. Depth from the mask, {depth_range(near_m, far_m)} for all:"
     )
+    if most := max((len(sample.frames) for sample in samples if len(sample.frames) < sample.whole), default=0):
+        scales = f"Of clips {most} frames each, evenly chosen. {scales}"
     cards = joined(_card(sample, white, (near_m, far_m)) for sample in samples)
     return Html(
         f'<div class="tools">{tools}</div><div class="scales">{paragraph(scales)}{depth_legend(near_m, far_m)}</div>'

@@ -1,6 +1,8 @@
 """``init``, ``generate`` and ``verify`` as users meet them: what they print, make and end with."""
 
 import json
+import os
+import pty
 import resource
 import shutil
 import signal
@@ -8,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -104,6 +107,29 @@ class TestGenerate:
         assert code == 0
         assert "1 samples made in " in out
         assert "4 were there before" in out
+
+    def test_at_a_terminal_the_result_goes_to_stdout(self, trial) -> None:
+        """Whole and last: in a narrow terminal the bar would break paths, and take stdout's lines for its own."""
+        path = trial.write(dataset={"output": f"out/{'long_' * 20}name"})
+        theirs, ours = pty.openpty()
+        words = [sys.executable, "-c", MAIN, "generate", str(path)]
+        environment = os.environ | {"TERM": "xterm", "COLUMNS": "60"}
+        done = subprocess.run(
+            words, stdout=subprocess.PIPE, stderr=ours, text=True, env=environment, cwd=trial.folder, check=True
+        )
+        os.close(ours)
+        shown = b""
+        with suppress(OSError):  # how Linux says that nobody has the other end
+            while part := os.read(theirs, 1 << 16):
+                shown += part
+        os.close(theirs)
+        made, look = done.stdout.splitlines()
+        assert made.startswith("5 samples made in ")
+        assert made.endswith("name")
+        assert look.startswith("look at ")
+        assert look.endswith("name/report.html")
+        assert b"samples" in shown
+        assert b"look at" not in shown
 
     def test_a_log_of_json_lines(self, flatlight, trial) -> None:
         path = trial.write(scene=BOXES | {"fail_at": 1})

@@ -23,7 +23,7 @@ def test_it_says_what_it_wrote(flatlight, dataset: Path, tmp_path: Path, to: str
 
 
 def test_a_choice_of_splits(flatlight, one_error, dataset: Path, tmp_path: Path) -> None:
-    asked = ("export", dataset, "--to", "npz", "--output", tmp_path / "out", "--shard-mb", 1)
+    asked = ("export", dataset, "--to", "hdf5", "--output", tmp_path / "out", "--shard-mb", 1)
     assert flatlight(*asked, "--split", "train", "--split", "validation")[1].startswith("4 samples")
     one_error(flatlight(*asked, "--split", "train"), "--output", "another export")
     one_error(flatlight(*asked, "--split", "all"), "--split", "'all'")

@@ -90,7 +90,7 @@ def test_the_check_is_printed_and_travels_with_the_stack(trial, flatlight, tmp_p
     code, out, _ = flatlight("psf", path, "--check", "--set", "psf.depths=1", "--set", "psf.near_cm=5", "--set",
                              "psf.far_cm=5", "--output", tmp_path / "stack")  # fmt: skip
     assert code == 0
-    for expected in ("error bar", "model vs exact", "points vs direct sum", "field angle", "5 cm"):
+    for expected in ("sampling error", "model vs exact", "points vs direct sum", "field angle", "5 cm"):
         assert expected in out
     provenance = json.loads((tmp_path / "stack" / "psf.json").read_text())["provenance"]
     assert provenance["errors"]["check"] == "full"

@@ -88,6 +88,7 @@ def test_sets_of_files_find_theirs(kind: str, request: pytest.FixtureRequest) ->
     assert found["measurements"] == found["descriptions"] == 4
     assert found["ground-truth"] == (4 if kind == "dataset" else 12)
     assert found["psf"] == found["psf_captured"] == 2
+    assert sets.keys() == found.keys()  # none describes what is not there
 
 
 @pytest.mark.parametrize("to", FORMATS)

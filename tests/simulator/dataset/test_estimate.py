@@ -25,9 +25,21 @@ def test_it_tells_what_the_data_set_then_takes(trial) -> None:
     assert found.files == len(files) + 2  # drawn by the command: report.html, contact_sheet.png
     assert found.bytes == pytest.approx(sum(path.stat().st_size for path in files if path.suffix != ".md"), rel=0.1)
     seconds = sum(entry.seconds for entry in load_manifest(root).entries.values())
-    assert found.cpu_hours * 3600 == pytest.approx(seconds, rel=0.5)  # of a machine that does other things, too
+    assert found.samples * found.sample_s == pytest.approx(seconds, rel=0.5)  # of a machine that does other things, too
     assert found.sample_s > 0.05
+    assert found.sample_cpu_s < found.sample_s - 0.04  # these scenes sleep for 0.05 s: that costs nobody CPU time
+    assert found.cpu_hours == pytest.approx(found.samples * found.sample_cpu_s / 3600)
     assert 50e6 < found.memory_bytes < 5e9
+
+
+def test_the_captured_psfs_and_an_engine_without_workers(trial) -> None:
+    psf = {"near_cm": 3.6, "far_cm": 20, "depths": 3}
+    path = trial.write(dataset=DATASET | {"engine": "inline"}, psf=psf)
+    plain, captured = estimate(path), estimate(trial.write(dataset=DATASET, psf=psf | {"as_captured": {}}))
+    assert plain.workers == 1
+    assert captured.workers == 2
+    assert captured.files == plain.files + 4  # three planes and their description
+    assert captured.stack_bytes > 1.5 * plain.stack_bytes
 
 
 def test_the_command_prints_it_and_writes_nothing(trial, flatlight) -> None:
@@ -41,7 +53,12 @@ def test_the_command_prints_it_and_writes_nothing(trial, flatlight) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "named"), [(["--price", "1"], "--price"), (["--estimate", "--shard", "9/3"], "--shard")]
+    ("options", "named"),
+    [
+        (["--price", "1"], "--price"),
+        (["--estimate", "--shard", "9/3"], "--shard"),
+        (["--estimate", "--skip-bad"], "--skip-bad"),
+    ],
 )
 def test_options_that_have_no_meaning_together(trial, flatlight, options: list[str], named: str) -> None:
     code, _, err = flatlight("generate", trial.write(), *options)

@@ -138,7 +138,7 @@ def test_facts_of_a_computed_stack():
         "nm"
     ]
     assert "nominal" in facts["response"]
-    assert facts["error bar"] == f"{share(2 * stack.provenance['sampling']['error'])} of sampling"
+    assert facts["sampling error"] == f"at most {share(2 * stack.provenance['sampling']['error'])}"
     rows = read_budget(stack)
     worst = {row.name: max(other.value for other in rows if other.name == row.name) for row in rows}
     assert budget_facts(stack) == [("errors", ", ".join(f"{name} {share(value)}" for name, value in worst.items()))]

@@ -18,7 +18,7 @@ from simulator.dataset.sample import write_sample
 from simulator.errors import InputError
 from simulator.io.files import StorageError, leftovers
 
-SHARD = 70_000  # bytes: two stills
+SMALL = {to: {"shard_bytes": 70_000} if form.sharded else {} for to, form in FORMATS.items()}  # two stills
 MANY = {"counts": {"train": 7, "validation": 1, "test": 0}}
 Hashes = Callable[[Path], dict[str, str]]
 
@@ -40,7 +40,7 @@ def seven(samples: ModuleType, tmp_path: Path) -> Path:
 def test_the_same_bytes_whatever_clock_user_mask_place_and_order(
     seven: Path, tmp_path: Path, hashes: Hashes, monkeypatch: pytest.MonkeyPatch, to: str
 ) -> None:
-    export(seven, to, tmp_path / "a", splits=["train", "validation"], shard_bytes=SHARD)
+    export(seven, to, tmp_path / "a", splits=["train", "validation"], **SMALL[to])
     began = int(time.time())
     while to == "hdf5" and int(time.time()) == began:  # HDF5 asks the system itself for the time, in seconds
         time.sleep(0.02)
@@ -54,7 +54,7 @@ def test_the_same_bytes_whatever_clock_user_mask_place_and_order(
     monkeypatch.setenv("TZ", "Asia/Kathmandu")
     mask = os.umask(0o077)
     try:
-        export(moved, to, tmp_path / "b", splits=["validation", "train"], shard_bytes=SHARD)
+        export(moved, to, tmp_path / "b", splits=["validation", "train"], **SMALL[to])
     finally:
         os.umask(mask)
     first, second = hashes(tmp_path / "a"), hashes(tmp_path / "b")
@@ -65,7 +65,7 @@ def test_the_same_bytes_whatever_clock_user_mask_place_and_order(
 
 @pytest.mark.parametrize("to", ["webdataset", "hdf5", "npz"])
 def test_an_export_that_was_stopped_goes_on(seven: Path, tmp_path: Path, hashes: Hashes, to: str) -> None:
-    whole = export(seven, to, tmp_path / "whole", shard_bytes=SHARD)
+    whole = export(seven, to, tmp_path / "whole", **SMALL[to])
     out = tmp_path / "out"
 
     def stop(done: int, total: int) -> None:
@@ -73,20 +73,20 @@ def test_an_export_that_was_stopped_goes_on(seven: Path, tmp_path: Path, hashes:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        export(seven, to, out, shard_bytes=SHARD, progress=stop)
+        export(seven, to, out, **SMALL[to], progress=stop)
     written = {name: (out / name).stat() for name in hashes(out) if name.startswith("train")}
     assert len(written) >= 2
     assert written.keys() < hashes(tmp_path / "whole").keys()
     assert list(leftovers(out)) == []
     steps: list[tuple[int, int]] = []
-    result = export(seven, to, out, shard_bytes=SHARD, progress=lambda done, total: steps.append((done, total)))
+    result = export(seven, to, out, **SMALL[to], progress=lambda done, total: steps.append((done, total)))
     assert hashes(out) == hashes(tmp_path / "whole")
     assert all((out / name).stat().st_ino == before.st_ino for name, before in written.items())
     assert (result.kept, result.shards, result.samples) == (len(written), whole.shards, 8)
     assert steps[-1] == (8, 8)
     first = next(iter(written))
     (out / first).write_bytes(b"no longer what it was")
-    assert export(seven, to, out, shard_bytes=SHARD).kept == sum(whole.shards.values()) - 1
+    assert export(seven, to, out, **SMALL[to]).kept == sum(whole.shards.values()) - 1
     assert hashes(out) == hashes(tmp_path / "whole")
 
 
@@ -193,6 +193,7 @@ def test_what_is_asked_for_wrongly(dataset: Path, tmp_path: Path) -> None:
         ({"splits": ["test"]}, "test"),
         ({"path": tmp_path / "nowhere"}, "nowhere: no such folder"),
         ({"shard_bytes": 0}, "--shard-mb"),
+        ({"to": "npz", "shard_bytes": 1000}, "--shard-mb: .*npz"),
     ):
         with pytest.raises(InputError, match=words):
             export(**{"path": dataset, "to": "webdataset", "output": tmp_path / "out"} | changes)

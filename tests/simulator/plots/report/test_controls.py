@@ -108,8 +108,15 @@ def test_frames_are_stepped_through_and_played(browser, clips_page: Path) -> Non
     changed = f"new Promise((done) => {{ setInterval(() => {{ if ({SEEN} !== 2) done({SEEN}); }}, 20); }})"
     assert browser(changed) == 3
     assert browser("find('.cards .frames output').getAttribute('aria-live')") == "off"
+    browser("find('[data-every]').click()")  # something moves: it stops
+    assert browser("[...playing].length") == 0
     browser("find('[data-every]').click()")  # plays all
     assert browser("[...playing].length") == 4
+    assert browser("find('[data-every]').textContent") == "Pause all clips"
+    for number in range(4):
+        browser(f"cards[{number}].querySelector('.play').click()")
+    assert browser("find('[data-every]').textContent") == "Play all clips"
+    browser("find('.cards .play').click()")
     browser("find('[data-every]').click()")
     assert browser("[...playing].length") == 0
     browser.open(clips_page, prefers_reduced_motion="reduce")
@@ -120,6 +127,7 @@ def test_frames_are_stepped_through_and_played(browser, clips_page: Path) -> Non
 def test_a_sample_is_seen_large(browser, clips_page: Path) -> None:
     name = "find('#large h3').firstChild.textContent"
     browser.open(clips_page)
+    names = browser("cards.map((card) => card.getAttribute('aria-label'))")
     browser("cards[1].querySelector('.open').focus()")
     browser.press("Enter", 13)
     browser("find('.open:focus')?.click()")  # where the key alone does not press a button
@@ -131,7 +139,14 @@ def test_a_sample_is_seen_large(browser, clips_page: Path) -> None:
     browser("find('#large .frames input').focus()")
     browser.press("ArrowRight", 39)
     assert browser(name) == "train/s00000002"
-    assert browser("find('#large output').value").startswith("frame 2 of 6")
+    assert browser("find('#large .frames output').value").startswith("frame 2 of 6")
+    browser("find('#large .play').focus()")
+    for number in (3, 4):  # the button that has the focus goes with its sample
+        browser.press("ArrowRight", 39)
+        assert browser("document.activeElement.matches('#large .play')")
+        assert browser(name) == names[number % 4]
+        assert browser("find('#large').getAttribute('aria-label')") == f"{names[number % 4]}, large"
+        assert browser("find('#large [aria-live]').value") == names[number % 4]
     assert browser("find('#large img').offsetWidth") > 300
     browser.press("Escape", 27)
     assert not browser("find('#large').open")
@@ -158,6 +173,21 @@ def test_nothing_is_too_wide(browser, stills: Path, clips_page: Path, width: int
         red, green, blue = browser("getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)")
         assert (red + green + blue > 600) == (scheme == "light")
         assert browser.complaints() == []
+
+
+def test_what_is_chosen_is_seen_without_colours(browser, clips_page: Path) -> None:
+    """In forced colours, where shadows are gone and all borders are alike."""
+    browser.open(clips_page, forced_colors="active")
+    outlines = browser("all('.choice label').map((label) => getComputedStyle(label).outlineStyle)")
+    assert outlines == ["none", "solid", "none"]
+
+
+def test_a_caption_is_read_without_scrolling(browser, stills: Path) -> None:
+    browser.open(stills / "report.html", 360)
+    ends = browser("all('caption').map((caption) => caption.getBoundingClientRect().right)")
+    assert ends
+    assert max(ends) <= 360
+    assert browser("Math.max(...all('.wide').map((wide) => wide.scrollWidth))") > 360  # a table that is scrolled
 
 
 def test_without_javascript_images_and_tables_are_there(browser, clips_page: Path) -> None:

@@ -5,6 +5,7 @@ import hashlib
 import io
 import json
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -22,6 +23,7 @@ from simulator.dataset.dataset_info import read_info, write_info
 from simulator.dataset.manifest import FailedWriter, ManifestWriter, SkippedWriter, load_manifest
 from simulator.dataset.sample import SampleRecord, write_sample
 from simulator.errors import InputError
+from simulator.optics.stack_files import read_psf_stack, write_psf_stack
 from simulator.plots.drawing import encoded, white_level
 from simulator.plots.report.facts import label_table, read_records, time_parts
 from simulator.plots.report.page import report_html, write_report
@@ -109,7 +111,7 @@ def test_key_figures_and_records_are_there(page: Reader, trial_set: Path) -> Non
     text = " ".join(page.text("dd", "td", "code", "pre", "h1", "b"))
     for words in ("trial", "5 of 5", info.fingerprint, "full_scale: 3.0e-06", "mask_to_sensor_mm: 1.9", "psf.depths"):
         assert words in text
-    assert "CPU-hours" in text
+    assert "hours of one worker" in text
     assert page.text("p").count("No sample failed, none was skipped.") == 1
 
 
@@ -122,6 +124,27 @@ def test_time_is_shared_out_among_stages(dataset: Path) -> None:
     assert widths == [50, 25, 25]
     assert page.text("td")[:6] == ["8 s", "50 %", "4 s", "25 %", "4 s", "25 %"]
     assert {"scene", "exposure", "files"} <= set(page.text("th"))
+
+
+def test_one_plane_leaves_no_depth_outside(samples: ModuleType, tmp_path: Path) -> None:
+    """One PSF that serves all depths says nothing of how far from it they lie."""
+    make = lambda index: samples.make_sample(index, metadata={"saturated_share": 0.25, "clamped_depth_share": 0.0})  # noqa: E731
+    root = samples.make_dataset(tmp_path / "set", make)
+    assert "Depth outside the PSFs' planes, of a sample's seen pixels" in Reader(report_html(root)).text("dt")
+    stack = read_psf_stack(root / "psf")
+    shutil.rmtree(root / "psf")
+    write_psf_stack(root / "psf", replace(stack, values=stack.values[:1], depths_m=stack.depths_m[:1]))
+    told = Reader(report_html(root)).text("dt")
+    assert "Saturated, of a sample's values" in told
+    assert not [line for line in told if "outside" in line]
+
+
+def test_samples_left_out_for_good_are_seen_first(dataset: Path) -> None:
+    with SkippedWriter(dataset) as skipped:
+        skipped.append("train", 7, "clip.webm is truncated")
+    page = Reader(report_html(dataset))
+    assert "Samples: 1 skipped. " in page.text("p")
+    assert "1 sample left out for good (skipped.jsonl)." in page.text("p")
 
 
 def test_labels_are_counted_per_split(samples: ModuleType, tmp_path: Path) -> None:
