@@ -92,6 +92,12 @@ def _command_line() -> typer.Typer:
     return app
 
 
+_CURES = {
+    errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
+    errno.EACCES: "permission denied; ask its owner, or choose another place",
+}
+
+
 def main() -> None:
     """Run the command: one clear line per mistake, exit code 2 for the user's, 1 for ours."""
     if sys.platform == "win32":  # workers, locks and files that survive a power cut are made for Unix
@@ -103,8 +109,8 @@ def main() -> None:
         print("error: " + (f"{error.place}: " if error.place else "") + str(error), file=sys.stderr)
         raise SystemExit(2) from None
     except Exception as error:
-        if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:  # whichever option it came from
-            print(f"error: {show(str(error.filename))}: the name is too long; choose a shorter one", file=sys.stderr)
+        if isinstance(error, OSError) and error.errno in _CURES:  # whichever option it came from
+            print(f"error: {show(str(error.filename))}: {_CURES[error.errno]}", file=sys.stderr)
             raise SystemExit(2) from None
         if os.environ.get("FLATLIGHT_TRACEBACK"):
             raise

@@ -117,7 +117,10 @@ class Bar(_Progress):
 
 
 class JsonLog(_Progress):
-    """The same as lines of JSON on stdout, for whatever watches jobs: ``event`` is progress, message, or what `end` tells."""
+    """The same as lines of JSON on stdout, for whatever watches jobs.
+
+    ``event`` is progress or message, and at last end, error or stopped.
+    """
 
     def update(self, stage: str, done: int, total: int) -> None:
         """Tell that ``done`` of ``total`` are finished in a stage."""

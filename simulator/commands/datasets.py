@@ -14,6 +14,7 @@ from simulator.console import Bar, JsonLog
 from simulator.errors import InputError
 from simulator.io.files import StorageError
 from simulator.io.store import Place
+from simulator.text import described
 
 if TYPE_CHECKING:
     from simulator.dataset.job import GenerateResult
@@ -112,9 +113,10 @@ def generate(
                 watch=shown.watch,
                 finish=_draw,
             )
-        except InputError as error:
+        except BaseException as error:
             if isinstance(shown, JsonLog):
-                shown.tell("error", text=str(error))
+                event = "error" if isinstance(error, Exception) else "stopped"
+                shown.tell(event, text=str(error) if isinstance(error, InputError) else described(error))
             raise
         if isinstance(shown, JsonLog):
             shown.tell("end", **vars(result))

@@ -132,16 +132,16 @@ def changed_files(root: Place, hashes: Mapping[str, str]) -> Iterator[InputError
     gone = set()
     for name, expected in hashes.items():
         path = root / name
-        missing = path if path.parent.exists() else path.parent
-        if not missing.exists():
-            if missing not in gone:
-                yield InputError(
-                    missing, f"gone, but {CHECKSUMS} lists it; restore it from a copy, or run generate again"
-                )
-            gone.add(missing)
-            continue
         try:
             with read_errors(path):
+                missing = path if path.parent.exists() else path.parent
+                if not missing.exists():
+                    if missing not in gone:
+                        gone.add(missing)
+                        raise InputError(
+                            missing, f"gone, but {CHECKSUMS} lists it; restore it from a copy, or run generate again"
+                        )
+                    continue
                 large = size_of(path) > _LARGEST and name not in _LISTS
             changed = large or sha256_file(path) != expected
         except InputError as error:

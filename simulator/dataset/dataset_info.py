@@ -154,18 +154,16 @@ def read_info(root: Place | str) -> DatasetInfo:
     """
     root = place(root)
     path = root / FILE
-    if not root.is_dir():
-        raise InputError(root, "no such folder; give the folder that `flatlight generate` wrote (dataset.output)")
-    if (root / EXPORT).is_file():
-        raise InputError(
-            root, f"an export ({EXPORT}), whose format other tools read; give the data set that it was made from"
-        )
-    if not path.is_file():
-        raise InputError(root, f"not a data set: it has no {FILE}; give the folder that `flatlight generate` wrote")
-    if isinstance(root, Path):
-        with read_errors(root):
-            paths = sorted(root.iterdir())
-        for one in paths:
+    with read_errors(root):
+        if not root.is_dir():
+            raise InputError(root, "no such folder; give the folder that `flatlight generate` wrote (dataset.output)")
+        if (root / EXPORT).is_file():
+            raise InputError(
+                root, f"an export ({EXPORT}), whose format other tools read; give the data set that it was made from"
+            )
+        if not path.is_file():
+            raise InputError(root, f"not a data set: it has no {FILE}; give the folder that `flatlight generate` wrote")
+        for one in sorted(root.iterdir()) if isinstance(root, Path) else ():
             refuse_link(one)
     data = read_limited(path, "the description of a data set")
     try:

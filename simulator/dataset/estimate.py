@@ -17,6 +17,7 @@ import numpy as np
 from simulator.camera.sensor import full_scale_from_pilots
 from simulator.config import Config, load_config
 from simulator.dataset.engines import available_cpus
+from simulator.dataset.engines.stopping import stop_signals
 from simulator.dataset.plan import Plan, Report, Say, make_plan
 from simulator.dataset.preparation import data_set_stack
 from simulator.dataset.recipe import Recipe, make_pilot, make_sample, perform
@@ -134,7 +135,7 @@ def estimate(
     if not isinstance(config, Config):
         config = load_config(config, overrides)
     progress, say = progress or (lambda stage, done, total: None), say or (lambda line: None)
-    with config.refusals(), tempfile.TemporaryDirectory(prefix="flatlight-") as made:
+    with config.refusals(), stop_signals(), tempfile.TemporaryDirectory(prefix="flatlight-") as made:
         begin = time.perf_counter()
         plan = make_plan(config, True, progress, say)
         stack_folder = Path(made) / PSF_FOLDER

@@ -44,9 +44,9 @@ from simulator.dataset.reader import all_metadata
 from simulator.dataset.recipe import Made, make_sample, perform
 from simulator.dataset.repair import take_out_bad
 from simulator.dataset.sample import sample_folder, sample_id
-from simulator.dataset.shards import Shard, alone, sharing
+from simulator.dataset.shards import Shard, alone, remove_unfinished, sharing
 from simulator.errors import InputError
-from simulator.io.files import StorageError, remove_leftovers
+from simulator.io.files import StorageError
 from simulator.io.store import Place, StorePath
 from simulator.optics.error_budget.budget import budget_lines, read_budget
 from simulator.optics.stack import PsfStack
@@ -54,7 +54,6 @@ from simulator.optics.stack import PsfStack
 OFF_SENSOR_WARNING = 0.01
 CLAMPED_LIGHT_WARNING = 0.05
 _LOOKED_AT = 2000  # samples, by whose metadata a data set is judged
-_LEVELS = 3  # below a data set's folder at which a writer may leave unfinished work: SPLIT/0000/.tmp-s00000000
 
 
 @dataclass(frozen=True)
@@ -184,15 +183,15 @@ class _Job:
             with made_folder(root):
                 if self.shard is None and not isinstance(root, StorePath):
                     with ManifestWriter(root) as manifest:
-                        info = self._begin(manifest.locked)
+                        info = self._begin(manifest)
                         self._samples(info, manifest)
-                        self._end(info, manifest.locked)
+                        self._end(info, manifest)
                     return
                 info = self._beside_others()
                 with alone(root) as manifest:
                     # A shard that cannot know whether others are at work leaves the end to a run without --shard.
                     if manifest is not None and (self.shard is None or (manifest.locked and not self.missing)):
-                        self._end(info, manifest.locked)
+                        self._end(info, manifest)
 
     def _is_complete(self, existing: DatasetInfo) -> bool:
         """Whether the data set is sealed, as it was sealed, and nothing is left to be made."""
@@ -215,7 +214,7 @@ class _Job:
         while True:
             with alone(root) as manifest:
                 if manifest is not None:
-                    self._begin(manifest.locked)
+                    self._begin(manifest)
             with sharing(root, self.shard, self.say) as own:
                 if own is None:
                     continue
@@ -229,26 +228,24 @@ class _Job:
             self.missing = sum(1 for split, index in every if index not in there[split])
             return info
 
-    def _begin(self, locked: bool) -> DatasetInfo:
-        """Prepare the data set; ``locked``: nobody else can be writing to it."""
+    def _begin(self, manifest: ManifestWriter) -> DatasetInfo:
+        """Prepare the data set."""
         plan = self.plan
         unseal(plan.root)
-        if locked and isinstance(plan.root, Path):
-            remove_leftovers(plan.root, _LEVELS)
+        remove_unfinished(manifest)
         info, stack = prepare(plan, existing_info(plan), self.accept_exposure, self.progress, self.say)
         self._warn(stack)
         if plan.problems:
             self.say(list_problems(plan.root, plan.problems))
         return info
 
-    def _end(self, info: DatasetInfo, locked: bool) -> None:
-        """Say what the data set is worth, let it be drawn, and seal it; ``locked`` as for `_begin`."""
+    def _end(self, info: DatasetInfo, manifest: ManifestWriter) -> None:
+        """Say what the data set is worth, let it be drawn, and seal it."""
         root = self.plan.root
-        if locked and isinstance(root, Path):
-            remove_leftovers(root, _LEVELS)  # of workers that were killed
+        remove_unfinished(manifest)  # of workers that were killed
         if self.made:
             self._sum_up(info.exposure)
-        merge_lists(root)
+        merge_lists(manifest)
         write_card(root)
         write_croissant(root)
         if self.made + self.kept:

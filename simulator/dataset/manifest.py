@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import chain, pairwise
@@ -18,7 +18,7 @@ from typing import Any, Self, TypeVar
 
 from simulator.dataset.sample import SPLITS, SampleRecord, sample_id, sample_index
 from simulator.errors import InputError
-from simulator.io.files import committed_file, read_errors, refuse_link, remove_file, remove_folder, write_atomic
+from simulator.io.files import read_errors, refuse_link, remove_file, remove_folder, write_atomic
 from simulator.io.lines import AppendedLines, StoredLines, line_of, read_lines
 from simulator.io.store import Place, StorePath, place
 
@@ -200,6 +200,7 @@ def load_failed(root: Place | str) -> dict[Key, FailedSample]:
 
 _ENTRY = "id, split, digest, seed, label, seconds"
 _KEYS = frozenset(_ENTRY.split(", "))
+_LONGEST_S = 1e9  # of a sample: thirty years
 
 
 def _is_entry(content: dict[str, Any]) -> bool:
@@ -210,8 +211,9 @@ def _is_entry(content: dict[str, Any]) -> bool:
         and (content["label"] is None or _is_text(content["label"]))
         and isinstance(content["digest"], str)
         and len(content["digest"]) == 64
-        and isinstance(content["seconds"], int | float)
-        and all(isinstance(seconds, int | float) for seconds in stages)
+        and all(
+            isinstance(seconds, int | float) and 0 <= seconds < _LONGEST_S for seconds in (content["seconds"], *stages)
+        )
         and ("cpu" not in content or _is_text(content["cpu"]))
     )
 
@@ -367,6 +369,10 @@ class ManifestWriter(_ListWriter):
             content["cpu"] = cpu
         self._lines.append_line(content)
 
+    def replace(self, lines: Iterable[bytes]) -> None:
+        """Put others in the place of all lines; see `AppendedLines.replace`."""
+        self._lines.replace(lines)
+
 
 class SkippedWriter(_ListWriter):
     """Appends samples that were left out.
@@ -406,13 +412,11 @@ class FailedWriter(_ListWriter):
         self._append(split, sample_id(index), {"reason": reason, "attempts": attempts, "traceback": traceback})
 
 
-def rewrite_manifest(root: Place, *, without: Container[Key] = (), skip_bad: bool = False) -> None:
-    """Replace the manifest by one line a sample, the last of each, of all writers' lists, in order.
-
-    Nobody else may be writing, and whoever has it open writes to the old one.
+def rewrite_manifest(manifest: ManifestWriter, *, without: Container[Key] = (), skip_bad: bool = False) -> None:
+    """Replace a data set's manifest by one line a sample, the last of each, of all writers' lists, in order.
 
     Args:
-        root: the data set.
+        manifest: the data set's, held by the one who writes alone.
         without: samples that are left out.
         skip_bad: drop lines that hold no entry.
 
@@ -421,7 +425,7 @@ def rewrite_manifest(root: Place, *, without: Container[Key] = (), skip_bad: boo
         StorageError: the disk is full; the manifest stays as it was before.
     """
     found: dict[str, dict[int, bytes]] = {split: {} for split in SPLITS}
-    for where, line in _lines(root, MANIFEST):
+    for where, line in _lines(manifest.folder, MANIFEST):
         try:
             if line.endswith(b"\n"):
                 _, key = _content(where, line, _is_entry, _ENTRY)
@@ -430,28 +434,25 @@ def rewrite_manifest(root: Place, *, without: Container[Key] = (), skip_bad: boo
         except InputError:
             if not skip_bad:
                 raise
-    lines = (own[index] for own in found.values() for index in sorted(own))
-    path = root / MANIFEST
-    if isinstance(path, StorePath):
-        write_atomic(path, b"".join(lines))
-        return
-    with committed_file(path) as temporary, temporary.open("wb") as file:
-        file.writelines(lines)
+    manifest.replace(own[index] for own in found.values() for index in sorted(own))
 
 
-def merge_lists(root: Place, *, skip_bad: bool = False) -> None:
-    """Merge all writers' lists into those of the data set, one line a sample; nobody else may be writing.
+def merge_lists(manifest: ManifestWriter, *, skip_bad: bool = False) -> None:
+    """Merge all writers' lists into those of the data set, one line a sample.
 
-    ``skip_bad``: drop lines that hold no entry.
+    Args:
+        manifest: the data set's, held by the one who writes alone.
+        skip_bad: drop lines that hold no entry.
 
     Raises:
         InputError: see `load_manifest`.
         StorageError: the disk is full; the lists stay as they were before.
     """
+    root = manifest.folder
     with read_errors(root / WRITERS):
         many = (root / WRITERS).exists()
     if many or skip_bad or not survey(root).tidy:
-        rewrite_manifest(root, skip_bad=skip_bad)
+        rewrite_manifest(manifest, skip_bad=skip_bad)
     if not many:
         return
     rest: dict[str, dict[Key, dict[str, Any]]] = {

@@ -7,10 +7,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from simulator.dataset.beginning import is_begun
 from simulator.dataset.card import write_card
 from simulator.dataset.checksums import unseal, write_seal
 from simulator.dataset.croissant import write_croissant
-from simulator.dataset.dataset_info import FILE, DatasetInfo, check_shutter, read_info, write_info
+from simulator.dataset.dataset_info import DatasetInfo, check_shutter, read_info, write_info
 from simulator.dataset.fingerprint import difference
 from simulator.dataset.manifest import (
     Entry,
@@ -30,7 +31,7 @@ from simulator.dataset.sample import (
     sample_index,
     stored_folder,
 )
-from simulator.dataset.shards import alone, sharing
+from simulator.dataset.shards import alone, remove_unfinished, sharing
 from simulator.dataset.verification import check_sample
 from simulator.errors import InputError
 from simulator.io.exr import MAX_FILE_BYTES
@@ -80,23 +81,24 @@ def merge(
     root, folders = place(target), [place(part) for part in parts]
     if not folders:
         raise InputError("parts", "got none, expected the folders of data sets to take samples from")
-    there = [root] if (root / FILE).exists() else []
-    infos = {folder: read_info(folder) for folder in [*there, *folders]}
+    begun = is_begun(root, "output")
+    infos = {folder: read_info(folder) for folder in [*([root] if begun else []), *folders]}
     merged = _common(infos)
     if isinstance(root, Path):
         with storage_errors(root):
             make_folder(root)
-    with _sole(root):
+    with _sole(root) as manifest:
         unseal(root)
+        remove_unfinished(manifest)
         for name in (PSF_FOLDER, CAPTURED_FOLDER):
-            if (folders[0] / name).exists() and not (root / name).exists():
+            if (folders[0] / name).exists() and not (begun and (root / name).exists()):
                 write_psf_stack(root / name, read_psf_stack(folders[0] / name))
         write_info(root, merged)
     with sharing(root, None, lambda _: None) as manifest:
         assert manifest is not None  # the description was just written
         result = _take_samples(root, infos, merged, manifest, progress or (lambda done, total: None))
-    with _sole(root):
-        merge_lists(root)
+    with _sole(root) as manifest:
+        merge_lists(manifest)
         write_card(root)
         write_croissant(root)
         if finish is not None and result.taken + result.there:
@@ -106,11 +108,11 @@ def merge(
 
 
 @contextmanager
-def _sole(root: Place) -> Iterator[None]:
+def _sole(root: Place) -> Iterator[ManifestWriter]:
     with alone(root) as manifest:
         if manifest is None:
             raise InputError(root, "another process is writing to it; wait for its end, and run merge again")
-        yield
+        yield manifest
 
 
 def _common(infos: dict[Place, DatasetInfo]) -> DatasetInfo:

@@ -13,6 +13,7 @@ from simulator.camera.shutter import Shutter, shutter_record
 from simulator.captured_psf import captured_stack, check_calibration
 from simulator.config import dump
 from simulator.config.psf import ComputedPsf
+from simulator.dataset.beginning import is_begun
 from simulator.dataset.clips import ClipTimesError
 from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info, write_info
 from simulator.dataset.exposure import find_exposure
@@ -22,7 +23,7 @@ from simulator.dataset.plan import Plan, Report, Say
 from simulator.dataset.reader import all_metadata
 from simulator.dataset.recipe import check_first_clip, perform
 from simulator.errors import InputError
-from simulator.io.files import TEMPORARY_PREFIX, make_folder, remove_folder, storage_errors
+from simulator.io.files import make_folder, remove_folder, storage_errors
 from simulator.io.json import canonical_json
 from simulator.io.store import Place, StorePath, check_store
 from simulator.optics.error_budget.sampling import SamplingWarning
@@ -38,16 +39,8 @@ def existing_info(plan: Plan) -> DatasetInfo | None:
         InputError: the folder holds something else, another data set, or one with more samples.
     """
     root = plan.root
-    if not root.exists():
+    if not is_begun(root, "dataset.output"):
         return None
-    if not root.is_dir():
-        raise InputError("dataset.output", f"{root} is a file; choose another folder")
-    if not (root / FILE).exists():
-        foreign = [path.name for path in sorted(root.iterdir()) if not _left_by_a_start(path)]
-        if not foreign:
-            return None
-        if not (root / FILE).exists():  # nor has another process begun meanwhile
-            raise InputError("dataset.output", f"{root} holds other files ({foreign[0]}, ...); choose another folder")
     info = read_info(root)
     if info.fingerprint != plan.fingerprint:
         changes = difference(info.fingerprint_parts, plan.parts)
@@ -162,12 +155,6 @@ def _refuse_other_windows(root: Place, info: DatasetInfo, shutter: Shutter, func
         f"{function} gave other windows than the data set in {root} was begun with; it must return "
         "the same at every call: seed what it draws, or write its windows into a file and give camera.shutter.file",
     )
-
-
-def _left_by_a_start(path: Place) -> bool:
-    """Whether a run that was killed before ``dataset.json`` leaves such a file: it holds nothing of worth."""
-    empty_manifest = path.name == MANIFEST and path.read_bytes() == b""
-    return empty_manifest or path.name in (PSF_FOLDER, CAPTURED_FOLDER) or path.name.startswith(TEMPORARY_PREFIX)
 
 
 # ---- the PSF stack

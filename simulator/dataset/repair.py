@@ -43,7 +43,7 @@ def take_out_bad(root: Place, workers: int | str = 1, progress: Callable[[int, i
             writing. Nothing is removed.
         StorageError: the folder is protected.
     """
-    with ManifestWriter(root):
+    with ManifestWriter(root) as manifest:
         for line in check_plain(root):
             raise InputError(root, line)
         hashes = read_seal(root) or {}
@@ -62,13 +62,13 @@ def take_out_bad(root: Place, workers: int | str = 1, progress: Callable[[int, i
             for name in (PSF_FOLDER, CAPTURED_FOLDER)
             if any(_is_in(path, root / name) for path in changed) or not _is_whole(root / name)
         ]
-        merge_lists(root, skip_bad=True)
+        merge_lists(manifest, skip_bad=True)
         report = verify(root, workers=workers, progress=progress)
         _refuse_doubt(root, report)
         if not (report.bad or stacks):
             return Removed((), ())
         remove_file(root / CHECKSUMS)
-        rewrite_manifest(root, without=report.bad)
+        rewrite_manifest(manifest, without=report.bad)
         for split, name in report.bad:
             remove_folder(sample_folder(root, split, sample_index(name)))
         for name in stacks:

@@ -19,7 +19,7 @@ from simulator.dataset.dataset_info import FILE
 from simulator.dataset.manifest import MANIFEST, WRITERS, ManifestWriter
 from simulator.dataset.sample import sample_id
 from simulator.errors import InputError
-from simulator.io.files import make_folder, sha256_bytes, storage_errors
+from simulator.io.files import make_folder, remove_leftovers, sha256_bytes, storage_errors
 from simulator.io.lines import open_locked
 from simulator.io.store import Place
 
@@ -83,6 +83,9 @@ def array_expression(indices: list[int]) -> str:
     return ",".join(str(first) if first == last else f"{first}-{last}" for first, last in runs)
 
 
+_LEVELS = 3  # below a data set's folder at which a writer may leave unfinished work: SPLIT/0000/.tmp-s00000000
+
+
 @contextmanager
 def alone(root: Place) -> Iterator[ManifestWriter | None]:
     """Give the data set's manifest to a process that is alone there; None where another one works.
@@ -99,6 +102,12 @@ def alone(root: Place) -> Iterator[ManifestWriter | None]:
         return
     with writer:
         yield writer
+
+
+def remove_unfinished(manifest: ManifestWriter) -> None:
+    """Remove what died writers left unfinished, where it is certain that nobody else is at work; in a store nobody knows."""
+    if manifest.locked and isinstance(manifest.folder, Path):
+        remove_leftovers(manifest.folder, _LEVELS)
 
 
 @contextmanager

@@ -352,8 +352,9 @@ def check_lists(info: DatasetInfo, manifest: Manifest, skipped: Mapping[str, int
     return problems
 
 
-_SPLIT_FOLDER = re.compile(rf"({'|'.join(SPLITS)})(/\d{{4}})?")
-_SAMPLE_FOLDER = re.compile(rf"({'|'.join(SPLITS)})/\d{{4}}/s\d{{8}}")
+_THOUSAND = r"(\d{4}|[1-9]\d{4})"
+_SPLIT_FOLDER = re.compile(rf"({'|'.join(SPLITS)})(/{_THOUSAND})?")
+_SAMPLE_FOLDER = re.compile(rf"({'|'.join(SPLITS)})/{_THOUSAND}/s\d{{8}}")
 _YOURS = re.compile(r"(README|LICEN[CS]E|CITATION|CHANGELOG)(\.(md|txt|rst|cff|bib))?")
 """What people lay beside data that they pass on."""
 

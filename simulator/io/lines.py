@@ -7,14 +7,14 @@ import os
 import secrets
 import stat
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from simulator.errors import InputError
-from simulator.io.files import read_errors, storage_errors, write_all
+from simulator.io.files import committed_file, make_folder, read_errors, storage_errors, write_all, write_atomic
 from simulator.io.locks import take_lock
 from simulator.io.store import Place, StorePath
 
@@ -92,6 +92,26 @@ class AppendedLines:
                 raise
         self._size += len(line)
 
+    def replace(self, lines: Iterable[bytes]) -> None:
+        """Put others in the place of all lines, whole or not at all. The lock is held throughout: no writer comes between.
+
+        Raises:
+            StorageError: the disk is full.
+        """
+        descriptor = -1
+        try:
+            with committed_file(self.path) as temporary:
+                descriptor = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+                take_lock(descriptor)  # before the file has its name, by which others find it
+                with open(descriptor, "wb", closefd=False) as file:
+                    file.writelines(lines)
+        except BaseException:
+            if descriptor >= 0:
+                os.close(descriptor)
+            raise
+        os.close(self._descriptor)
+        self._descriptor, self._size = descriptor, os.fstat(descriptor).st_size
+
     def __enter__(self) -> Self:
         return self
 
@@ -131,6 +151,14 @@ class StoredLines:
         if len(self._lines) >= _BATCH_LINES or time.monotonic() - self._since > _BATCH_S:
             self._send()
 
+    def replace(self, lines: Iterable[bytes]) -> None:
+        """Put others in the place of the object that holds all lines; batches stay.
+
+        Raises:
+            StorageError: the store cannot be written to.
+        """
+        write_atomic(self.path, b"".join(lines))
+
     def _send(self) -> None:
         if self._lines:
             stem = self.path.name.removesuffix(".jsonl")
@@ -155,7 +183,7 @@ class StoredLines:
 
 
 def open_locked(path: Path, *, shared: bool = False, wait: bool = False) -> tuple[int, bool]:
-    """Open a file (made when missing) with its lock, and make sure that it is still the file of that name.
+    """Open a file (made when missing, with its folder) with its lock, and make sure that it is still the file of that name.
 
     Returns:
         Its descriptor, and whether the lock is held: it is not where the file system knows none.
@@ -166,7 +194,13 @@ def open_locked(path: Path, *, shared: bool = False, wait: bool = False) -> tupl
     """
     while True:
         with storage_errors(path):
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+            try:
+                descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+            except FileNotFoundError:
+                if os.path.lexists(path):
+                    raise  # a link to nowhere
+                make_folder(path.parent)  # such as one that a run took away which was refused
+                continue
         try:
             with storage_errors(path):
                 taken = take_lock(descriptor, shared=shared, wait=wait)

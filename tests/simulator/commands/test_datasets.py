@@ -18,6 +18,7 @@ import pytest
 from simulator.config import default_config_text
 from simulator.dataset import verify
 from simulator.dataset.checksums import CHECKSUMS
+from simulator.io.files import StorageError
 from simulator.presets import preset_names, preset_text
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
@@ -145,6 +146,27 @@ class TestGenerate:
         (error,) = (one for line in out.splitlines() if (one := json.loads(line))["event"] == "error")
         assert "psnr_db" in error["text"]
         assert error["text"].splitlines()[0] in err
+
+    @pytest.mark.parametrize(
+        ("raised", "event", "text"),
+        [
+            (KeyboardInterrupt(), "stopped", "KeyboardInterrupt"),
+            (SystemExit(143), "stopped", "SystemExit: 143"),
+            (StorageError("out", "the disk is full"), "error", "out: the disk is full"),
+            (ZeroDivisionError("ours"), "error", "ZeroDivisionError: ours"),
+        ],
+    )
+    def test_the_last_line_of_json_says_how_it_ended(
+        self, flatlight, trial, monkeypatch, raised: BaseException, event: str, text: str
+    ) -> None:
+        def ended(*_: object, **__: object) -> None:
+            raise raised
+
+        monkeypatch.setattr("simulator.dataset.job.generate", ended)
+        code, out, _ = flatlight("generate", trial.write(), "--log-json")
+        assert code != 0
+        (line,) = map(json.loads, out.splitlines())
+        assert (line["event"], line["text"]) == (event, text)
 
     def test_failed_samples_end_with_1(self, flatlight, trial) -> None:
         path = trial.write(scene=BOXES | {"fail_at": 1, "marker": "mended"})

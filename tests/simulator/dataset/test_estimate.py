@@ -1,5 +1,7 @@
 """What a data set will cost, told from a few samples, against what it then costs."""
 
+import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -50,6 +52,17 @@ def test_the_command_prints_it_and_writes_nothing(trial, flatlight) -> None:
     assert "CPU-hours" in out
     assert "at 0.04 per CPU-hour" in out
     assert not (trial.folder / "out").exists()
+
+
+def test_a_signal_leaves_nothing_behind(trial, command, tmp_path: Path) -> None:
+    """Also while PSFs are computed."""
+    (tmp_path / "temporary").mkdir()
+    asked = "import os, signal\nfrom simulator.dataset import estimate\n"
+    asked += "estimate.data_set_stack = lambda *_: os.kill(os.getpid(), signal.SIGTERM)"
+    environment = os.environ | {"TMPDIR": str(tmp_path / "temporary")}
+    done = command("generate", trial.write(), "--estimate", before=asked, env=environment)
+    assert done.returncode == 128 + signal.SIGTERM
+    assert list((tmp_path / "temporary").iterdir()) == []
 
 
 @pytest.mark.parametrize(

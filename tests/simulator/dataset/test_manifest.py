@@ -65,6 +65,13 @@ def test_a_line_torn_anywhere_costs_only_itself(tmp_path: Path) -> None:
         b'{"id":"x","split":"train","digest":"' + b"a" * 64 + b'","seed":7,"label":null,"seconds":1}',
         b'{"id":"s00000001","split":"pilot","digest":"' + b"a" * 64 + b'","seed":7,"label":null,"seconds":1}',
         b'{"id":"s00000001","split":"train","digest":3,"seed":7,"label":null,"seconds":1}',
+        *(
+            b'{"id":"s00000001","split":"train","digest":"' + b"a" * 64 + b'","seed":7,"label":null,' + times + b"}"
+            for times in (b'"seconds":NaN', b'"seconds":1e999', b'"seconds":-1', b'"seconds":1' + b"0" * 400)
+        ),
+        b'{"id":"s00000001","split":"train","digest":"'
+        + b"a" * 64
+        + b'","seed":7,"label":null,"seconds":1,"stages":[NaN]}',
     ],
 )
 def test_bad_lines_before_the_end_are_named(tmp_path: Path, line: bytes) -> None:
@@ -81,8 +88,10 @@ def test_one_writer_at_a_time(tmp_path: Path) -> None:
         writer.append(record(0), 1.0)
     write(tmp_path, record(1))
     assert load_manifest(tmp_path).ids("train") == ["s00000000", "s00000001"]
-    with pytest.raises(StorageError, match="does not exist"):
-        ManifestWriter(tmp_path / "no")
+    (tmp_path / "file").touch()
+    with pytest.raises(StorageError, match="file/no"):
+        ManifestWriter(tmp_path / "file/no")
+    write(tmp_path / "new/one", record(2))  # a folder that is not there is made
 
 
 def test_a_full_disk_tears_no_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

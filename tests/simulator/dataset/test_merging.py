@@ -8,7 +8,7 @@ import pytest
 
 from simulator.dataset import generate, verify
 from simulator.dataset.fingerprint import cpu_level
-from simulator.dataset.manifest import SkippedWriter, load_manifest, rewrite_manifest
+from simulator.dataset.manifest import ManifestWriter, SkippedWriter, load_manifest, rewrite_manifest
 from simulator.dataset.merging import merge
 from simulator.dataset.sample import sample_index
 from simulator.dataset.shards import Shard, sharing
@@ -71,6 +71,7 @@ def test_into_one_of_the_parts_and_after_an_interruption(
         patch.setattr("simulator.dataset.merging.merge_lists", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             merge(root, [parts[1]])
+    (root / "train/0000/.tmp-s00000003-12345678").mkdir()  # of a copy in the middle of which it was killed
     result = merge(root, [parts[1]])
     assert (result.taken, result.there, result.missing) == (0, 10, 0)
     assert count < 10
@@ -103,6 +104,17 @@ def test_what_is_damaged_or_differs_is_named_and_not_taken(parts: list[Path], tm
     assert str(other) in problem
 
 
+@pytest.mark.parametrize("own", ["report.html", "psf/calibration.tif", "croissant.json"])
+def test_a_folder_of_something_else_stays_as_it_is(parts: list[Path], tmp_path: Path, tree, own: str) -> None:
+    file = tmp_path / "mine" / own
+    file.parent.mkdir(parents=True)
+    file.write_text("years of work")
+    before = tree(tmp_path)
+    with pytest.raises(InputError, match=r"^output: .*holds other files"):
+        merge(tmp_path / "mine", parts[:2])
+    assert tree(tmp_path) == before
+
+
 def test_what_cannot_come_together(parts: list[Path], tmp_path: Path, make_trial: Callable) -> None:
     trial = make_trial(tmp_path)
     stranger = trial.generate(dataset=DATASET, camera={"noise": {"type": "gaussian", "psnr_db": 30}})
@@ -123,7 +135,8 @@ def test_what_one_part_left_out_and_another_made_counts_once(parts: list[Path], 
     copies, entries = [tmp_path / name for name in ("a", "b")], list(load_manifest(parts[2]).entries)
     for copy, own in zip(copies, (entries[:5], entries[5:-1]), strict=True):  # the last one has nobody
         shutil.copytree(parts[2], copy)
-        rewrite_manifest(copy, without=set(entries) - set(own))
+        with ManifestWriter(copy) as manifest:
+            rewrite_manifest(manifest, without=set(entries) - set(own))
     with SkippedWriter(copies[0]) as skipped:
         skipped.append(entries[5][0], sample_index(entries[5][1]), "torn")
     result = merge(tmp_path / "new", copies)

@@ -1,9 +1,11 @@
 """What a data set has before its first sample: its folder, description, PSF stacks and exposure; and what is refused."""
 
+import errno
 import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -76,6 +78,33 @@ class TestRefusals:
         (trial.folder / "out").mkdir()
         (trial.folder / "out" / "thesis.tex").write_text("years of work")
         assert "thesis.tex" in refused()
+
+    @pytest.mark.parametrize("own", ["psf/calibration.tif", "psf", "psf_captured", "writers/thesis.tex"])
+    def test_a_folder_of_psfs_that_is_the_users(self, trial, refused, own: str) -> None:
+        """Files of their own below the names that we use; also a whole stack, as `flatlight psf --output` writes it."""
+        path = trial.folder / "out" / own
+        if path.suffix:
+            path.parent.mkdir(parents=True)
+            path.write_text("years of work")
+        else:
+            data_set_stack(Assembly(load_config(trial.write())), trial.folder / "other", lambda _: None)
+            path.parent.mkdir()
+            (trial.folder / "other/psf").rename(path)
+        assert "holds other files" in refused()
+        assert "holds other files" in refused("dataset.engine=local")
+
+    def test_a_folder_that_cannot_be_read(self, trial, monkeypatch) -> None:
+        root = trial.generate()
+        look = Path.exists
+
+        def denied(path: Path, **options: bool) -> bool:
+            if root in path.parents:
+                raise PermissionError(errno.EACCES, "Permission denied", str(path))
+            return look(path, **options)
+
+        monkeypatch.setattr(Path, "exists", denied)
+        with pytest.raises(InputError, match=f"^{root}: cannot be read: Permission denied"):
+            generate(trial.path)
 
     def test_a_lost_description(self, trial, refused) -> None:
         root = trial.generate()

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from simulator.dataset import generate, verify
-from simulator.dataset.manifest import load_manifest
+from simulator.dataset.manifest import ManifestWriter, load_manifest
+from simulator.dataset.repair import take_out_bad
 from simulator.dataset.shards import Shard
 from simulator.errors import InputError
 from simulator.io import files
@@ -95,6 +96,22 @@ def test_exactly_what_is_damaged_is_made_anew(made, copy: Path, decided, damage:
     kept = sum(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items() if "psf" not in path.parts)
     assert kept >= 2 * (9 - count)  # not even written again
     assert load_manifest(copy).entries.keys() == load_manifest(made[1]).entries.keys()
+
+
+def test_nobody_writes_while_it_is_checked(made, copy: Path) -> None:
+    """Not even after the lists were put in order: whoever wrote then would lose it."""
+    (copy / "manifest.jsonl").write_bytes((copy / "manifest.jsonl").read_bytes() * 2)
+    refused = []
+
+    def other(done: int, total: int) -> None:
+        with pytest.raises(InputError, match="another process"):
+            ManifestWriter(copy)
+        refused.append(done)
+
+    take_out_bad(copy, progress=other)
+    assert refused
+    ManifestWriter(copy).close()
+    assert len(load_manifest(copy).entries) == 9
 
 
 def test_nothing_is_removed_where_the_disk_or_the_network_fails(made, copy: Path, decided, monkeypatch) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulator.dataset import generate, open_dataset, preparation, verify
+from simulator.dataset import beginning, generate, open_dataset, verify
 from simulator.dataset.checksums import CHECKSUMS
 from simulator.dataset.manifest import WRITERS, ManifestWriter, load_manifest
 from simulator.dataset.sample import sample_id
@@ -115,7 +115,7 @@ def test_a_data_set_that_another_process_begins_meanwhile_is_no_foreign_folder(t
         return sorted(paths)
 
     root.mkdir()
-    monkeypatch.setattr(preparation, "sorted", late, raising=False)
+    monkeypatch.setattr(beginning, "sorted", late, raising=False)
     assert generate(path).kept > 0
     assert seen
     assert verify(root).ok
@@ -175,6 +175,39 @@ def test_who_is_alone_and_who_shares(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="another process"):
             ManifestWriter(tmp_path)
     assert len(said) == 1
+
+
+def test_nobody_writes_while_the_last_one_draws_and_seals(trial) -> None:
+    path, tried = trial.write(dataset=DATASET), []
+
+    def draw(root: Path) -> None:
+        with pytest.raises(InputError, match="another process"):
+            ManifestWriter(root)
+        with alone(root) as other:
+            tried.append(other)
+
+    results = [generate(path, shard=Shard(index, 2), finish=draw) for index in range(2)]
+    assert tried == [None]
+    assert results[1].sealed
+
+
+def test_a_shard_that_waits_prepares_where_the_one_before_was_stopped(trial, undisturbed: Path, decided) -> None:
+    """That one takes away what it made, the folder, too, under the eyes of those that wait for its lock."""
+    path, root = trial.write(dataset=DATASET), trial.folder / "out"
+    said: list[str] = []
+    root.mkdir()
+    with ManifestWriter(root):
+        waiting = threading.Thread(target=generate, args=(path,), kwargs={"shard": Shard(1, 2), "say": said.append})
+        waiting.start()
+        while not any("waiting" in line for line in said):
+            waiting.join(0.05)
+            assert waiting.is_alive()
+        (root / "manifest.jsonl").unlink()
+        root.rmdir()
+    waiting.join(60)
+    assert generate(path, shard=Shard(0, 2)).kept == 0
+    assert decided(root) == decided(undisturbed)
+    assert verify(root).ok
 
 
 def test_a_lock_on_a_manifest_that_was_replaced_is_not_taken_for_one(tmp_path: Path, monkeypatch) -> None:

@@ -11,7 +11,8 @@ import pytest
 
 from simulator.dataset.checksums import CHECKSUMS, write_seal
 from simulator.dataset.fingerprint import hash_parts
-from simulator.dataset.manifest import SkippedWriter
+from simulator.dataset.manifest import ManifestWriter, SkippedWriter
+from simulator.dataset.sample import write_sample
 from simulator.dataset.verification import verify
 from simulator.errors import InputError
 
@@ -179,6 +180,15 @@ def test_nothing_is_read_through_a_link(dataset: Path, tmp_path: Path, place: st
     path.symlink_to(outside)
     (problem,) = verify(dataset).problems
     assert problem.startswith(f"{place}: a link; ")
+
+
+def test_an_id_beyond_ten_million_is_no_stray(samples: ModuleType, tmp_path: Path) -> None:
+    root = samples.make_dataset(tmp_path / "set", counts={"train": 4, "validation": 1, "test": 0})
+    with ManifestWriter(root) as manifest:
+        manifest.append(write_sample(root, "train", 12_345_678, samples.make_sample(12_345_678)), seconds=0.1)
+    write_seal(root)
+    assert (root / "train/12345/s12345678").is_dir()
+    assert verify(root).problems == ()
 
 
 def test_documents_beside_the_data_are_noted(dataset: Path) -> None:
