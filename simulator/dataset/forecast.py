@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,9 +51,11 @@ class Forecast:
     def measure(self, folder: Place) -> None:
         """Look at a finished sample; after the first few there is nothing more to learn."""
         if self.measured < _MOST and not isinstance(folder, StorePath):
-            sizes = [size_of(path) for path in folder.rglob("*") if path.is_file()]
+            sizes: list[int] = []  # of a folder that is gone, or that another shard writes anew, nothing is learned
+            with suppress(FileNotFoundError):
+                sizes = [size_of(path) for path in folder.rglob("*") if path.is_file()]
             self._bytes += sum(sizes)
-            self.measured += bool(sizes)  # of a folder that is gone nothing is learned
+            self.measured += bool(sizes)
 
     def refuse_too_large(self) -> None:
         """Refuse to go on where what is left does not fit on the disk; stores have room.

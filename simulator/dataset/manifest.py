@@ -274,10 +274,12 @@ def writers_files(root: Place, name: str) -> list[Place]:
     """
     writers = root / WRITERS
     with read_errors(writers):
-        with suppress(FileNotFoundError, NotADirectoryError):  # also where they are merged meanwhile
-            for folder in writers.iterdir() if isinstance(writers, Path) else ():
-                refuse_link(folder)
-        return sorted(writers.glob(f"*/{name.removesuffix('.jsonl')}*.jsonl"))
+        while writers.is_dir():
+            with suppress(FileNotFoundError):  # they are merged meanwhile: what is left is listed again
+                for folder in writers.iterdir() if isinstance(writers, Path) else ():
+                    refuse_link(folder)
+                return sorted(writers.glob(f"*/{name.removesuffix('.jsonl')}*.jsonl"))
+    return []
 
 
 class _MergedError(Exception):

@@ -266,16 +266,20 @@ def committed_file(path: Path) -> Iterator[Path]:
 
 
 def _replace_folder(temporary: Path, folder: Path) -> None:
-    if not folder.exists():
-        os.rename(temporary, folder)
-        return
-    aside = temporary_path(folder)  # rename() cannot replace a folder that is not empty
-    os.rename(folder, aside)
-    try:
-        os.rename(temporary, folder)
-    except OSError:
-        os.rename(aside, folder)
-        raise
+    """Rename a folder; what has that name goes aside first. Others may do the same at once: the last one's folder stays."""
+    aside = temporary_path(folder)
+    while True:
+        try:
+            os.rename(temporary, folder)
+            break
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):  # rename() replaces nothing but an empty folder
+                if aside.exists():
+                    os.rename(aside, folder)
+                raise
+        shutil.rmtree(aside, ignore_errors=True)  # of the round before
+        with suppress(FileNotFoundError):
+            os.rename(folder, aside)
     shutil.rmtree(aside, ignore_errors=True)
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from simulator.dataset import checksums
 from simulator.dataset.checksums import CHECKSUMS, REPORT, read_seal, write_beside
 from simulator.dataset.manifest import ManifestWriter
 from simulator.dataset.verification import verify
@@ -27,6 +28,17 @@ def test_an_unsealed_data_set_stays_unsealed(dataset: Path) -> None:
         write_beside(dataset, REPORT, b"a page")
     assert (dataset / REPORT).read_bytes() == b"a page"
     assert not (dataset / CHECKSUMS).exists()
+
+
+def test_a_seal_that_a_run_takes_off_while_it_is_read(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read = checksums.read_text
+
+    def late(path: Path, *arguments) -> str:
+        path.unlink()
+        return read(path, *arguments)
+
+    monkeypatch.setattr(checksums, "read_text", late)
+    assert read_seal(dataset) is None
 
 
 def test_nothing_is_written_into_a_damaged_or_busy_data_set(dataset: Path) -> None:

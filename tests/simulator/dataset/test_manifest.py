@@ -2,11 +2,22 @@
 
 import errno
 import os
+import shutil
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from simulator.dataset.manifest import MANIFEST, FailedWriter, ManifestWriter, load_failed, load_manifest, load_skipped
+from simulator.dataset.manifest import (
+    MANIFEST,
+    WRITERS,
+    FailedWriter,
+    ManifestWriter,
+    load_failed,
+    load_manifest,
+    load_skipped,
+)
 from simulator.dataset.sample import SampleRecord, sample_id
 from simulator.errors import InputError
 from simulator.io import files
@@ -123,6 +134,26 @@ def test_a_list_of_skipped_samples_that_was_torn_or_spoilt(tmp_path: Path) -> No
     path.write_text('{"id":"s00000003","split":"all","reason":"bad"}\n')
     with pytest.raises(InputError, match=r"skipped\.jsonl:1: "):
         load_skipped(tmp_path)
+
+
+def test_lists_are_read_while_those_of_writers_come_and_go(tmp_path: Path) -> None:
+    """As between a listing of ``writers/`` and one of a folder in it, when the last shard to end has merged them."""
+    done = threading.Event()
+
+    def come_and_go() -> None:
+        while not done.is_set():
+            for name in "abc":
+                (tmp_path / WRITERS / name).mkdir(parents=True)
+            shutil.rmtree(tmp_path / WRITERS)
+
+    with ThreadPoolExecutor(1) as pool:
+        going = pool.submit(come_and_go)
+        try:
+            for _ in range(3000):
+                assert not load_manifest(tmp_path).entries
+        finally:
+            done.set()
+        going.result()
 
 
 def test_failures_come_back_in_order(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import errno
 import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -107,6 +108,21 @@ def test_committed_folder_appears_at_once_and_replaces(tmp_path: Path) -> None:
             assert not folder.exists() or (folder / "f").read_bytes() == b"first"
         assert (folder / "f").read_bytes() == content
     assert [entry.name for entry in folder.parent.iterdir()] == ["s1"]
+
+
+def test_a_folder_that_several_write_at_once_is_whole_at_the_end(tmp_path: Path) -> None:
+    folder = tmp_path / "s1"
+
+    def write(number: int) -> None:
+        for _ in range(150):
+            with committed_folder(folder) as temporary:
+                for name in "ab":
+                    (temporary / name).write_text(str(number))
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(write, range(4)))
+    assert (folder / "a").read_text() == (folder / "b").read_text()
+    assert list(tmp_path.iterdir()) == [folder]
 
 
 def test_committed_folder_is_dropped_when_the_block_raises(tmp_path: Path) -> None:
