@@ -102,9 +102,8 @@ class Bar(_Progress):
     def say(self, line: str) -> None:
         """Print a line above the bar."""
         if self._progress is not None:
-            self._console.print(
-                line, markup=False, soft_wrap=True
-            )  # the terminal wraps, and undoes it where one copies
+            # soft_wrap: the terminal wraps, and undoes it where one copies.
+            self._console.print(line, markup=False, soft_wrap=True)
         else:
             print(line, file=sys.stderr, flush=True)
 

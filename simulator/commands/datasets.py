@@ -12,7 +12,6 @@ import typer
 from simulator.commands.shared import ConfigPath, Overrides
 from simulator.console import Bar, JsonLog
 from simulator.errors import InputError
-from simulator.io.files import StorageError
 from simulator.io.store import Place
 from simulator.text import described
 
@@ -224,14 +223,7 @@ def _draw(root: Place) -> None:
     from simulator.plots.contact_sheet import contact_sheet
     from simulator.plots.report.page import write_report
 
-    try:
-        contact_sheet(root, root / CONTACT_SHEET)
-    except StorageError:
-        raise
-    except InputError as error:
-        raise InputError(
-            error.path, f"{error.reason}; flatlight generate --repair makes what is damaged anew"
-        ) from error
+    contact_sheet(root, root / CONTACT_SHEET)
     write_report(root)
 
 

@@ -40,9 +40,8 @@ def _left_by_a_start(path: Place) -> bool:
     if path.name.startswith(TEMPORARY_PREFIX):
         return True
     manifest = path.parent / MANIFEST
-    started = not isinstance(path, Path) or (
-        manifest.is_file() and size_of(manifest) == 0
-    )  # in a store it lies elsewhere
+    in_store = not isinstance(path, Path)  # where the manifest lies elsewhere
+    started = in_store or (manifest.is_file() and size_of(manifest) == 0)
     if path.name in (PSF_FOLDER, CAPTURED_FOLDER):
         return started and path.is_dir() and all(is_stack_file(found.name) for found in path.iterdir())
     return started and path.name == MANIFEST

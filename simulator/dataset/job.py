@@ -14,9 +14,8 @@ import numpy as np
 
 from simulator.camera.exposure import ExposureShares
 from simulator.config import Config, load_config
-from simulator.dataset.card import write_card
-from simulator.dataset.checksums import changed_files, read_seal, unseal, write_seal
-from simulator.dataset.croissant import write_croissant
+from simulator.dataset.checksums import changed_files, read_seal, unseal
+from simulator.dataset.completion import complete
 from simulator.dataset.dataset_info import DatasetInfo
 from simulator.dataset.engines import ready
 from simulator.dataset.exposure import say_exposure
@@ -29,7 +28,6 @@ from simulator.dataset.manifest import (
     accounted_samples,
     finished_samples,
     load_skipped,
-    merge_lists,
 )
 from simulator.dataset.plan import Plan, Report, Say, make_plan
 from simulator.dataset.preparation import (
@@ -240,18 +238,12 @@ class _Job:
         return info
 
     def _end(self, info: DatasetInfo, manifest: ManifestWriter) -> None:
-        """Say what the data set is worth, let it be drawn, and seal it."""
-        root = self.plan.root
+        """Complete the data set, and say what it is worth."""
         remove_unfinished(manifest)  # of workers that were killed
+        complete(manifest, self.finish if self.made + self.kept else None)
+        self.sealed = True
         if self.made:
             self._sum_up(info.exposure)
-        merge_lists(manifest)
-        write_card(root)
-        write_croissant(root)
-        if self.made + self.kept:
-            self.finish(root)
-        write_seal(root)
-        self.sealed = True
 
     def _samples(self, info: DatasetInfo, manifest: ManifestWriter) -> None:
         """Make what the manifest lacks; a failed sample is reported and does not stop the others."""

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from simulator.dataset.beginning import is_begun
-from simulator.dataset.card import write_card
-from simulator.dataset.checksums import unseal, write_seal
-from simulator.dataset.croissant import write_croissant
+from simulator.dataset.checksums import unseal
+from simulator.dataset.completion import complete
 from simulator.dataset.dataset_info import DatasetInfo, check_shutter, read_info, write_info
 from simulator.dataset.fingerprint import difference
 from simulator.dataset.manifest import (
@@ -20,7 +19,6 @@ from simulator.dataset.manifest import (
     SkippedWriter,
     load_manifest,
     load_skipped,
-    merge_lists,
 )
 from simulator.dataset.sample import (
     DESCRIPTION,
@@ -98,12 +96,7 @@ def merge(
         assert manifest is not None  # the description was just written
         result = _take_samples(root, infos, merged, manifest, progress or (lambda done, total: None))
     with _sole(root) as manifest:
-        merge_lists(manifest)
-        write_card(root)
-        write_croissant(root)
-        if finish is not None and result.taken + result.there:
-            finish(root)
-        write_seal(root)
+        complete(manifest, finish if result.taken + result.there else None)
     return result
 
 

@@ -51,6 +51,17 @@ def swap(first: Path, second: Path) -> None:
     second.write_bytes(one)
 
 
+def test_damage_that_a_run_without_it_meets_is_told_with_this_cure(made, copy: Path) -> None:
+    trial, _ = made
+    (copy / SAMPLE.format(0) / "sample.json").write_text("{")
+    (copy / "checksums.json").unlink()  # as of a run that did not come to its end
+    with pytest.raises(InputError, match=r"sample\.json.*flatlight generate --repair makes what is damaged anew$"):
+        generate(trial.path, [f"dataset.output={copy}"])
+    assert not (copy / "checksums.json").exists()
+    assert repaired(trial, copy) == (1, ["repair: train/s00000000 is damaged and is made anew"])
+    assert verify(copy).ok
+
+
 SAMPLE = "train/0000/s0000000{}"
 DAMAGES: dict[str, tuple[Callable[[Path], object], int]] = {  # and how many samples it costs
     "a flipped bit": (lambda root: flip(root / SAMPLE.format(1) / "measurement.exr"), 1),
