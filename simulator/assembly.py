@@ -190,8 +190,16 @@ class Assembly:
 
     @part("camera.illuminant", "camera", "camera.sensor")
     def response(self) -> SpectralResponse:
-        """The relative photon weights of the camera's channels under the configuration's light."""
-        return spectral_response(self._camera, self._illuminant, self.config.base_dir)
+        """The relative photon weights of the camera's channels under the configuration's light (cached)."""
+        camera, illuminant, folder = self._camera, self._illuminant, self.config.base_dir
+
+        def compute() -> Entry:
+            found = spectral_response(camera, illuminant, folder)
+            arrays = {"wavelengths_m": found.wavelengths_m, "weights": found.weights}
+            return arrays, {"channels": found.channels, "label": found.label}
+
+        arrays, described = cached("response", self._light_key("simulator.optics.spectra"), compute)
+        return SpectralResponse(channels=tuple(described["channels"]), label=described["label"], **arrays)
 
     @part("camera.illuminant", "camera", "camera.sensor")
     def electron_rates(self) -> dict[str, float]:
@@ -524,7 +532,7 @@ class Assembly:
         return [file for name in names if (file := curve_file(name, self.config.base_dir)) is not None]
 
     def _light_key(self, *modules: str) -> str:
-        """Return a hash of the camera and its light, without colour-science, which every worker would import for a second."""
+        """Return a hash of the camera and its light, without colour-science, which takes seconds to import."""
         hashes = [sha256_file(path) for path in self._light_files]
         return hashlib.sha256(
             repr((self._camera, self._illuminant, hashes, code_digest(*modules))).encode()

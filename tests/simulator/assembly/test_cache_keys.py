@@ -65,14 +65,14 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, set[Path]]
 def test_all_code_that_runs_is_behind_the_key(ran: dict[str, set[Path]], trial) -> None:
     psf = {"depths_cm": [5], "wavelengths_per_channel": 1, "accept_error": 1, "as_captured": {}}
     captured_stack(Assembly(load_config(trial.write(camera={"mask": MASK}, psf=psf))))
-    assert ran == {kind: set() for kind in ("masks", "psf", "budget", "captured")}
+    assert ran == {kind: set() for kind in ("masks", "response", "psf", "budget", "captured")}
 
 
 @pytest.mark.slow
 def test_all_code_that_runs_is_behind_the_keys_of_light(ran: dict[str, set[Path]], trial) -> None:
     built = Assembly(load_config(trial.write(camera=LIT)))
-    _ = built.sensor, built.camera_colour(("R", "G", "B"))
-    assert ran == {kind: set() for kind in ("photometry", "colour")}
+    _ = built.response, built.sensor, built.camera_colour(("R", "G", "B"))
+    assert ran == {kind: set() for kind in ("response", "photometry", "colour")}
 
 
 @pytest.mark.slow

@@ -44,6 +44,16 @@ def test_curves_lie_beside_the_yaml_file_and_are_inputs(trial):
         _ = Assembly(config).geometry
 
 
+def test_a_response_comes_from_the_cache_as_it_was(trial, monkeypatch):
+    config = _config(trial, illuminant="A")
+    assert Assembly(config).response.label == "Nikon 5100 (NPL) under A, nominal"
+    monkeypatch.setattr("simulator.assembly.spectral_response", None)
+    again, expected = Assembly(config).response, spectral_response(illuminant="A")
+    np.testing.assert_array_equal(again.weights, expected.weights)
+    np.testing.assert_array_equal(again.wavelengths_m, expected.wavelengths_m)
+    assert (again.channels, again.label) == (expected.channels, expected.label)
+
+
 class TestSceneColours:
     def test_auto_fits_the_sensor_and_its_light_once(self, trial, monkeypatch):
         config = _config(trial, illuminant="A")

@@ -61,6 +61,16 @@ def test_a_finished_set_verifies_and_its_layout_is_the_documented_one(finished: 
         assert hashlib.sha256((finished / "train/0000/s00000001" / name).read_bytes()).hexdigest() == digest
 
 
+def test_a_run_with_a_warm_cache_waits_for_no_heavy_package(trial, finished: Path, python) -> None:
+    """``finished`` has warmed it: what colour-science knows of camera and light is kept."""
+    code = (
+        "import sys; from simulator.dataset import generate; assert generate(sys.argv[1]).made\n"
+        "print([name for name in ('colour', 'scipy.interpolate', 'matplotlib', 'torch') if name in sys.modules])"
+    )
+    done = python("-c", code, str(trial.write(dataset={"train": 1, "validation": 0, "test": 0})))
+    assert done.stdout.splitlines()[-1:] == ["[]"], done.stderr
+
+
 def test_raising_counts_keeps_what_was_there(trial, contents) -> None:
     first = trial.generate()
     before = contents(first)
