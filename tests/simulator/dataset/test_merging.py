@@ -68,7 +68,7 @@ def test_into_one_of_the_parts_and_after_an_interruption(
     shutil.copytree(parts[0], root)
     count = len(load_manifest(root).entries)
     with monkeypatch.context() as patch:
-        patch.setattr("simulator.dataset.merging.merge_lists", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr("simulator.dataset.completion.merge_lists", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             merge(root, [parts[1]])
     (root / "train/0000/.tmp-s00000003-12345678").mkdir()  # of a copy in the middle of which it was killed
