@@ -5,6 +5,9 @@ Apart from the plugins, so that ``flatlight --help`` starts without the validati
 
 from __future__ import annotations
 
+import os
+import sys
+from functools import cache
 from typing import TYPE_CHECKING
 
 from simulator.errors import InputError
@@ -18,9 +21,22 @@ _PRESETS = "flatlight.presets"
 
 def entry_points(group: str) -> list[EntryPoint]:
     """Return the entry points of a group, by name."""
+    return list(_installed(group, tuple((place, _changed_ns(place)) for place in sys.path)))
+
+
+@cache
+def _installed(group: str, places: tuple[tuple[str, int], ...]) -> list[EntryPoint]:
+    """``places``: where packages lie, and when one was last put there or taken away."""
     from importlib.metadata import entry_points as installed
 
     return sorted(installed(group=group), key=lambda entry: (entry.name, entry.value))
+
+
+def _changed_ns(place: str) -> int:
+    try:
+        return os.stat(place or ".").st_mtime_ns
+    except OSError:
+        return 0
 
 
 def commands() -> dict[str, EntryPoint]:
