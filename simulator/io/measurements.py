@@ -1,12 +1,14 @@
-"""Reading one measured image (TIFF, OpenEXR, npy, PNG) as the plain numbers that its file holds.
+"""Reading one measured image (TIFF, OpenEXR, npy, PNG, raw) as the plain numbers that its file holds.
 
-The numbers are taken as linear in light; nothing is decoded or scaled here.
+The numbers are taken as linear in light; nothing is decoded. What had to be decided about a file is said in its notes.
 """
 
 from __future__ import annotations
 
+import re
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,36 +18,102 @@ from simulator.io.images import MAX_PIXELS, read_image
 
 MAX_VALUES = 2**31
 """Most values that are read from one file; a header may claim any size."""
+RGB = ("R", "G", "B")
+GREY = ("grey",)
+Cfa: TypeAlias = Literal["RGGB", "BGGR", "GRBG", "GBRG", "none"]
+"""Colours of a mosaic's upper left 2 x 2 pixels, as the file has them; none of an image that is no mosaic."""
+_ALPHA = "its alpha channel is left out"
+_EXTRA = "pip install 'flatlight[captures]', or in a clone uv run --extra captures"
+_RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw")
 
 
-def read_measurement(path: Path, channels: tuple[str, ...]) -> NDArray[Any]:
+@dataclass(frozen=True)
+class MeasuredImage:
+    """One image as its file holds it.
+
+    Attributes:
+        values: ``(1, H, W)`` of a grey image or mosaic, ``(C, H, W)`` of colours; integer or float, all finite. Of raw files
+            shares of full scale: without the black level that the file states, over the range that it states.
+        notes: what was left out, or taken for granted, in words.
+        cfa: the mosaic's colours, where the file states them.
+    """
+
+    values: NDArray[Any]
+    notes: tuple[str, ...] = ()
+    cfa: Cfa | None = None
+
+
+def read_measured_image(path: Path, channels: tuple[str, ...] = RGB) -> MeasuredImage:
     """Read one image.
 
     Args:
-        path: ``.tif``/``.tiff`` (one page), ``.png``, ``.exr`` or ``.npy`` holding ``(H, W)`` or ``(C, H, W)``.
-        channels: the channels' names; an EXR file is searched for them.
+        path: ``.tif``/``.tiff`` (one page), ``.png``, ``.exr``, ``.npy`` holding ``(H, W)``, ``(C, H, W)`` or ``(H, W, C)``,
+            or a camera's raw file (``.dng``, ``.nef``, ...), which needs the extra `captures`.
+        channels: the names of the channels, where there are more than one; an EXR file is searched for them.
 
     Returns:
-        ``(1, H, W)`` for a grey image or ``(C, H, W)``, integer or float, all finite.
+        The image. An alpha channel is left out, and three equal channels are one.
 
     Raises:
         InputError: naming the file, when it is unreadable or holds something else.
     """
-    readers = {".tif": _read_tiff, ".tiff": _read_tiff, ".png": read_image, ".npy": read_npy}
-    if path.suffix.lower() == ".exr":
-        image = _read_exr(path, channels)
-    elif path.suffix.lower() in readers:
-        image = readers[path.suffix.lower()](path)
-        if image.ndim == 3 and path.suffix.lower() != ".npy":
-            image = np.moveaxis(image, -1, 0)
+    suffix = path.suffix.lower()
+    if suffix in _RAW:
+        return _read_raw(path)
+    if suffix == ".exr":
+        found = MeasuredImage(_read_exr(path, channels))
+    elif suffix == ".npy":
+        found = _channels_first(read_npy(path), len(channels), path)
+    elif suffix == ".png":
+        found = _read_png(path)
+    elif suffix in (".tif", ".tiff"):
+        found = _channels_last(_read_tiff(path), len(channels), path)
     elif not path.exists():
         raise InputError(path, "there is no such file or folder")
     else:
-        raise InputError(path, "expected .tif, .tiff, .png, .exr or .npy (linear, without loss)")
-    image = image[None] if image.ndim == 2 else image
-    if image.ndim != 3 or image.shape[0] not in (1, len(channels)) or 0 in image.shape:
-        raise InputError(path, f"got an array {image.shape}; expected one grey image or {', '.join(channels)}")
-    return check_numbers(image, path)
+        raise InputError(
+            path, "expected .tif, .tiff, .png, .exr, .npy (linear, without loss), or a raw file such as .dng"
+        )
+    values = check_numbers(found.values, path)
+    if 0 in values.shape:
+        raise InputError(path, f"got an array {values.shape}, which is empty")
+    if len(values) == 3 and all(np.array_equal(values[0], other) for other in values[1:]):
+        return replace(found, values=values[:1], notes=(*found.notes, "its three channels are equal: grey"))
+    return found
+
+
+def read_measurement(path: Path, channels: tuple[str, ...]) -> NDArray[Any]:
+    """Return the values of an image alone, ``(1, H, W)`` or ``(C, H, W)``; see `read_measured_image`."""
+    image = read_measured_image(path, channels)
+    if len(image.values) not in (1, len(channels)):
+        raise InputError(path, f"got {len(image.values)} channels; expected one grey image or {', '.join(channels)}")
+    return image.values
+
+
+def _channels_first(image: NDArray[Any], count: int, path: Path) -> MeasuredImage:
+    """Return an array of one image, its channels first or last, or a stack of one such image, as ``(C, H, W)``."""
+    shape = image.shape
+    while image.ndim > 3 and len(image) == 1:
+        image = image[0]
+    if image.ndim == 3 and len(image) in (1, 3, count):
+        return MeasuredImage(image)
+    found = _channels_last(image, count, path)
+    if image.ndim == 2:
+        return found
+    return replace(found, notes=(f"{' x '.join(map(str, shape))}: its last axis is the channels'", *found.notes))
+
+
+def _channels_last(image: NDArray[Any], count: int, path: Path) -> MeasuredImage:
+    """Return ``(H, W)`` or ``(H, W, C)`` as ``(C, H, W)``, without alpha."""
+    counts = {1, 3, count}
+    if image.ndim == 2:
+        return MeasuredImage(image[None])
+    if image.ndim == 3 and image.shape[2] in counts:
+        return MeasuredImage(np.moveaxis(image, -1, 0))
+    if image.ndim == 3 and image.shape[2] - 1 in counts:
+        return MeasuredImage(np.moveaxis(image, -1, 0)[:-1], (_ALPHA,))
+    wanted = " or ".join(map(str, sorted(counts)))
+    raise InputError(path, f"got an array {image.shape}; expected one image of {wanted} channels")
 
 
 def read_npy(path: Path) -> NDArray[Any]:
@@ -80,6 +148,14 @@ def check_numbers(image: NDArray[Any], path: Path) -> NDArray[Any]:
     return image
 
 
+def _read_png(path: Path) -> MeasuredImage:
+    image = read_image(path)
+    with path.open("rb") as file:
+        kind = file.read(26)[25]  # of the header: 4 is grey with alpha, 6 RGB with alpha
+    notes = (_ALPHA,) if kind in (4, 6) else ()
+    return MeasuredImage(image[None] if image.ndim == 2 else np.moveaxis(image, -1, 0), notes)
+
+
 def _read_tiff(path: Path) -> NDArray[Any]:
     """``(H, W)`` or ``(H, W, C)``."""
     import tifffile
@@ -91,7 +167,12 @@ def _read_tiff(path: Path) -> NDArray[Any]:
                 raise InputError(path, f"got {pages} pages; expected one image: save one TIFF per depth, or one .npy")
             page = file.pages.first
             _check_size(page.shape, path)
-            image, axes = page.asarray(), page.axes
+            try:
+                image, axes = page.asarray(), page.axes
+            except ValueError as error:
+                if "imagecodecs" not in str(error):
+                    raise
+                return _by_pillow(path, page)
     except InputError:
         raise
     # tifffile reports damage by many kinds of exceptions; whatever it is, the file cannot be used.
@@ -100,18 +181,59 @@ def _read_tiff(path: Path) -> NDArray[Any]:
     return np.moveaxis(image, 0, -1) if axes == "SYX" else image
 
 
+def _by_pillow(path: Path, page: Any) -> NDArray[Any]:
+    """Read a compressed TIFF (LZW, JPEG) whose codec tifffile lacks, if Pillow holds its pixels without loss."""
+    from PIL import Image
+
+    if page.bitspersample == 8 or (page.samplesperpixel == 1 and page.dtype in (np.uint16, np.float32)):
+        with Image.open(path) as image:
+            return np.asarray(image)
+    kind = f"{page.samplesperpixel} x {page.bitspersample} bits compressed by {page.compression.name}"
+    raise InputError(path, f"got {kind}, which the extra `captures` reads: {_EXTRA}; or save it uncompressed")
+
+
 def _read_exr(path: Path, channels: tuple[str, ...]) -> NDArray[Any]:
-    """``(C, H, W)`` by the channels' names, or ``(H, W)`` when there is only one."""
+    """``(C, H, W)`` by the channels' names, or else red, green and blue, or a single one."""
     from simulator.io.exr import read_exr
 
     found, _ = read_exr(path)
-    if set(channels) <= set(found):
-        return np.stack([found[name] for name in channels])
-    if len(found) == 1:
-        return next(iter(found.values()))
-    raise InputError(
-        path, f"got the channels {', '.join(sorted(found))}; expected {', '.join(channels)}, or a single one"
-    )
+    for names in (channels, RGB):
+        if set(names) <= set(found):
+            return np.stack([found[name] for name in names])
+    light = {name: values for name, values in found.items() if name != "A"}
+    if len(light) == 1:
+        return next(iter(light.values()))[None]
+    names = ", ".join(sorted(found))
+    raise InputError(path, f"got the channels {names}; expected {', '.join(channels)}, or a single one")
+
+
+def _read_raw(path: Path) -> MeasuredImage:
+    """Return the mosaic of a raw file, black subtracted, as shares of the range that the file states."""
+    if not path.exists():
+        raise InputError(path, "there is no such file or folder")
+    try:
+        import rawpy
+    except ImportError as error:
+        raise InputError(path, f"raw files are read by rawpy, which is not installed: {_EXTRA}") from error
+    try:
+        with rawpy.imread(str(path)) as raw:
+            if raw.raw_type != rawpy.RawType.Flat:  # pyright: ignore[reportAttributeAccessIssue]
+                raise InputError(
+                    path, "got a file of finished colours, expected the sensor's mosaic; convert it to TIFF"
+                )
+            mosaic, colours = np.array(raw.raw_image_visible), np.array(raw.raw_colors_visible)
+            letters, black, white = raw.color_desc.decode(), np.array(raw.black_level_per_channel), raw.white_level
+    except rawpy.LibRawError as error:  # pyright: ignore[reportAttributeAccessIssue]
+        raise _unreadable(path, error) from error
+    pattern = "".join(letters[k] for k in colours[:2, :2].ravel())
+    cfa = "none" if len(set(pattern)) == 1 else cast(Cfa, pattern)
+    if cfa not in get_args(Cfa):
+        raise InputError(path, f"got the mosaic {pattern}, expected one of {', '.join(get_args(Cfa))}")
+    levels = black[colours]
+    values = (mosaic.astype(np.float32) - levels) / (white - levels)
+    stated = ", ".join(f"{level:g}" for level in sorted(set(black.tolist())))
+    notes = (f"black level {stated} and full scale {white:g} as its file states them",)
+    return MeasuredImage(values[None].astype(np.float32), notes, cfa)
 
 
 def _check_size(shape: tuple[int, ...], path: Path) -> None:
@@ -123,5 +245,66 @@ def _check_size(shape: tuple[int, ...], path: Path) -> None:
 def _unreadable(path: Path, error: Exception) -> InputError:
     if isinstance(error, FileNotFoundError):
         return InputError(path, f"cannot be read: {error.strerror}; check its name and folder")
-    cure = "check the file or save it again, uncompressed"
-    return InputError(path, f"cannot be read ({type(error).__name__}: {error}): {cure}")
+    return InputError(path, f"cannot be read ({type(error).__name__}: {error}): check the file or save it again")
+
+
+def crop_window(crop: str, path: Path, shape: tuple[int, int], option: str = "crop") -> tuple[slice, slice]:
+    """Return the rows and columns of a crop of an image of this shape.
+
+    ``crop`` is ``ROWSxCOLUMNS`` about the centre, or ``ROWSxCOLUMNS+TOP+LEFT``; ``path`` and ``option`` are for messages.
+    """
+    found = re.fullmatch(r"(\d+)x(\d+)(?:\+(\d+)\+(\d+))?", crop.strip())
+    if not found:
+        wanted = "ROWSxCOLUMNS (about the centre) or ROWSxCOLUMNS+TOP+LEFT, e.g. 1080x1440+60+80"
+        raise InputError(option, f"got {crop!r}, expected {wanted}")
+    sizes = (int(found[1]), int(found[2]))
+    starts = [(whole - size) // 2 for whole, size in zip(shape, sizes, strict=True)]
+    if found[3]:
+        starts = [int(found[3]), int(found[4])]
+    for start, size, whole in zip(starts, sizes, shape, strict=True):
+        if size < 1 or start < 0 or start + size > whole:
+            of = f"{path} of {shape[0]} x {shape[1]} pixels"
+            raise InputError(option, f"got {crop}, which reaches beyond {of}; make it smaller")
+    rows, columns = (slice(start, start + size) for start, size in zip(starts, sizes, strict=True))
+    return rows, columns
+
+
+# ---- a mosaic's colours
+
+
+def superpixels(mosaic: NDArray[Any], cfa: Cfa) -> NDArray[np.float64]:
+    """Return red, green and blue ``(3, H // 2, W // 2)`` of a mosaic ``(1, H, W)``: a pixel for each of its 2 x 2.
+
+    Green is the mean of its two. Nothing is interpolated: in a PSF that is read alike every colour has the same places, so
+    the red image is the scene through the red PSF exactly.
+    """
+    rows, columns = (size // 2 * 2 for size in mosaic.shape[-2:])
+    phases = [mosaic[0, i:rows:2, j:columns:2].astype(np.float64) for i in (0, 1) for j in (0, 1)]
+    return np.stack([np.mean([phases[k] for k in range(4) if cfa[k] == colour], axis=0) for colour in "RGB"])
+
+
+_BLOCK = 16  # of the 2 x 2, each way
+_BLOCKS, _LIT = 16, 0.05  # fewer blocks that are as bright as this share of the brightest say nothing
+_CLEAR_MOSAIC = 0.04  # of the light; columns that are read by two converters differ by less
+_AGREE = 0.9
+
+
+def looks_like_a_mosaic(image: NDArray[Any]) -> bool:
+    """Return whether a grey image ``(1, H, W)`` seems to be the mosaic of a colour sensor.
+
+    The four places of its 2 x 2 pixels then differ in brightness in the same way all over the image, where a grey sensor's
+    differ by noise and detail; colourless light seen through a mosaic with equal response looks grey, and is.
+    """
+    rows, columns = (size // (2 * _BLOCK) for size in image.shape[-2:])
+    part = image[0, : rows * 2 * _BLOCK, : columns * 2 * _BLOCK].astype(np.float64)
+    # (place in 2 x 2, block): the light above the image's darkest.
+    places = part.reshape(rows, _BLOCK, 2, columns, _BLOCK, 2).mean(axis=(1, 4)) - np.percentile(part, 1)
+    places = places.transpose(1, 3, 0, 2).reshape(4, -1)
+    light = places.mean(axis=0)
+    lit = light > _LIT * light.max(initial=0)
+    if np.count_nonzero(lit) < _BLOCKS:
+        return False
+    differences = (places[:, lit] - light[lit]) / light[lit]
+    brightest, darkest = np.argsort(differences.mean(axis=1))[[-1, 0]]
+    apart = differences[brightest] - differences[darkest]
+    return bool(np.median(apart) > _CLEAR_MOSAIC and np.mean(apart > 0) > _AGREE)

@@ -242,7 +242,7 @@ class TestMistakes:
     def test_files_that_differ(self, tmp_path, grey):
         files = [save(tmp_path / "a.tif", grey), save(tmp_path / "b.tif", grey[1:])]
         refuses(r"^b\.tif: ", files, DEPTHS)
-        files[1] = save(tmp_path / "c.png", np.stack([grey] * 3, -1))
+        files[1] = save(tmp_path / "c.png", np.stack([grey, grey // 2, grey], -1))
         refuses(r"^c\.png: .* 3 channels", files, DEPTHS)
 
     def test_a_dark_psf_is_named(self, tmp_path, grey):

@@ -1,0 +1,195 @@
+"""Files as people have them, written by packages that are not ours: the numbers that went in, and what is said of them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+from numpy.typing import NDArray
+from PIL import Image
+
+from simulator.errors import InputError
+from simulator.io.measurements import looks_like_a_mosaic, read_measured_image, read_measurement, superpixels
+
+ROWS, COLUMNS = 32, 48
+RNG = np.random.default_rng(3)
+GREY_16 = RNG.integers(0, 65536, (ROWS, COLUMNS), np.uint16)
+RGB_16 = RNG.integers(0, 65536, (ROWS, COLUMNS, 3), np.uint16)
+RGB_8 = RNG.integers(0, 256, (ROWS, COLUMNS, 3), np.uint8)
+ALPHA_16 = RNG.integers(0, 65536, (ROWS, COLUMNS, 1), np.uint16)
+
+
+def first(image: NDArray[Any]) -> NDArray[Any]:
+    """Return ``(H, W)`` or ``(H, W, C)`` with channels first."""
+    return image[None] if image.ndim == 2 else np.moveaxis(image, -1, 0)
+
+
+@pytest.mark.parametrize("image", [GREY_16, RGB_16, RGB_16.astype(np.float32)])
+@pytest.mark.parametrize("shape", ["channels first", "channels last", "a stack of one"])
+def test_npy_in_the_shapes_that_people_save(tmp_path: Path, image: NDArray[Any], shape: str) -> None:
+    saved = {
+        "channels first": first(image),
+        "channels last": image.reshape(ROWS, COLUMNS, -1),
+        "a stack of one": image.reshape(1, ROWS, COLUMNS, -1),
+    }[shape]
+    np.save(tmp_path / "m.npy", saved)
+    found = read_measured_image(tmp_path / "m.npy")
+    assert np.array_equal(found.values, first(image))
+    assert bool(found.notes) == (shape != "channels first")
+
+
+@pytest.mark.parametrize("extra", [{}, {"A": ALPHA_16}])
+@pytest.mark.parametrize("names", ["RGB", "Y", ("depth",)])
+def test_exr_of_one_channel_or_of_colours_with_alpha(tmp_path: Path, names: Any, extra: dict[str, Any]) -> None:
+    values = RNG.random((len(names), ROWS, COLUMNS)).astype(np.float32)
+    channels = dict(zip(names, values, strict=True)) | {k: v[..., 0].astype(np.float32) for k, v in extra.items()}
+    OpenEXR.File({}, channels).write(str(tmp_path / "m.exr"))
+    for wanted in (("R", "G", "B"), ("grey",)):
+        assert np.array_equal(read_measured_image(tmp_path / "m.exr", wanted[: len(values)]).values, values)
+
+
+@pytest.mark.parametrize("image", [GREY_16, RGB_8, GREY_16.astype(np.float32)])
+def test_tiff_compressed_by_lzw(tmp_path: Path, image: NDArray[Any]) -> None:
+    Image.fromarray(image).save(tmp_path / "m.tif", compression="tiff_lzw")
+    assert np.array_equal(read_measured_image(tmp_path / "m.tif").values, first(image))
+
+
+def test_lzw_without_its_codec_is_read_where_pillow_loses_nothing_and_else_names_the_extra(tmp_path: Path) -> None:
+    Image.fromarray(GREY_16).save(tmp_path / "grey.tif", compression="tiff_lzw")
+    cv2.imwrite(str(tmp_path / "deep.tif"), RGB_16)  # LZW is OpenCV's default
+    code = """
+import sys
+sys.modules["imagecodecs"] = None
+import numpy as np
+from pathlib import Path
+from simulator.errors import InputError
+from simulator.io.measurements import read_measured_image
+print(int(read_measured_image(Path("grey.tif")).values.sum(dtype=np.int64)))
+try:
+    read_measured_image(Path("deep.tif"))
+except InputError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    total, refusal = done.stdout.splitlines()
+    assert int(total) == int(GREY_16.sum(dtype=np.int64))
+    assert refusal.startswith("deep.tif: ")
+    assert "captures" in refusal
+    found = read_measured_image(tmp_path / "deep.tif").values  # with imagecodecs, which the tests have
+    assert np.array_equal(found, first(RGB_16[..., ::-1]))  # OpenCV writes blue first
+
+
+@pytest.mark.parametrize("image", [GREY_16, RGB_16])
+def test_tiff_in_tiles(tmp_path: Path, image: NDArray[Any]) -> None:
+    tifffile.imwrite(tmp_path / "m.tif", image, tile=(16, 16), photometric="rgb" if image.ndim == 3 else "minisblack")
+    assert np.array_equal(read_measured_image(tmp_path / "m.tif").values, first(image))
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+def test_sixteen_bit_colour_with_and_without_alpha(tmp_path: Path, suffix: str) -> None:
+    for image in (RGB_16, np.concatenate([RGB_16, ALPHA_16], axis=2)):
+        bgr = np.concatenate([image[..., 2::-1], image[..., 3:]], axis=2)
+        cv2.imwrite(str(tmp_path / f"m{suffix}"), bgr)
+        found = read_measured_image(tmp_path / f"m{suffix}")
+        assert np.array_equal(found.values, first(RGB_16))
+        assert any("alpha" in note for note in found.notes) == (image.shape[2] == 4)
+
+
+def test_a_grey_capture_saved_as_colours_is_grey(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "m.png"), np.repeat(GREY_16[..., None], 3, axis=2))
+    found = read_measured_image(tmp_path / "m.png")
+    assert np.array_equal(found.values, GREY_16[None])
+    assert found.notes
+
+
+def write_dng(path: Path, mosaic: NDArray[np.uint16], cfa: str, black: int, white: int) -> None:
+    """Write a mosaic as the DNG specification 1.4 has it, which LibRaw reads."""
+    colours = bytes("RGB".index(colour) for colour in cfa)
+    identity = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
+    tags = [
+        (33421, "H", 2, (2, 2), True),  # CFARepeatPatternDim
+        (33422, "B", 4, colours, True),  # CFAPattern
+        (50706, "B", 4, bytes((1, 4, 0, 0)), True),  # DNGVersion
+        (50708, "s", 0, "a camera", True),  # UniqueCameraModel
+        (50714, "H", 1, black, True),  # BlackLevel
+        (50717, "H", 1, white, True),  # WhiteLevel
+        (50721, "2i", 9, identity, True),  # ColorMatrix1
+        (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),  # AsShotNeutral
+    ]
+    tifffile.imwrite(path, mosaic, photometric=32803, extratags=tags, metadata=None)
+
+
+@pytest.mark.parametrize("cfa", ["RGGB", "GBRG"])
+def test_a_dng_is_the_mosaic_over_the_range_that_it_states(tmp_path: Path, cfa: str) -> None:
+    mosaic = RNG.integers(0, 1024, (ROWS, COLUMNS), np.uint16)
+    write_dng(tmp_path / "m.dng", mosaic, cfa, 64, 1023)
+    found = read_measured_image(tmp_path / "m.dng")
+    assert found.cfa == cfa
+    assert np.allclose(found.values[0], (mosaic - 64.0) / (1023 - 64), rtol=1e-6, atol=0)  # float32
+    assert found.values.min() < 0  # noise below black is not cut off
+    (tmp_path / "m.dng").write_bytes((tmp_path / "m.dng").read_bytes()[:60])
+    with pytest.raises(InputError, match=r"m\.dng: "):
+        read_measured_image(tmp_path / "m.dng")
+
+
+def test_colours_are_those_of_opencv_for_every_mosaic() -> None:
+    """OpenCV's bilinear demosaicing keeps a mosaic of even colour; superpixels do, too, without its margins."""
+    colour = np.array([50, 120, 200])
+    for cfa, name in (
+        ("RGGB", "BG"),
+        ("BGGR", "RG"),
+        ("GRBG", "GB"),
+        ("GBRG", "GR"),
+    ):  # OpenCV counts from pixel (1, 1)
+        mosaic = np.zeros((1, 8, 11), np.uint8)
+        for k, letter in enumerate(cfa):
+            mosaic[0, k // 2 :: 2, k % 2 :: 2] = colour["RGB".index(letter)]
+        theirs = cv2.cvtColor(mosaic[0], getattr(cv2, f"COLOR_Bayer{name}2RGB"))
+        ours = superpixels(mosaic, cfa)
+        assert ours.shape == (3, 4, 5)
+        assert np.array_equal(ours[:, 1:3, 1:4], first(theirs[2:6:2, 2:8:2]))
+
+
+def test_a_red_image_is_the_scene_through_the_red_psf_exactly() -> None:
+    """Sampling every other pixel commutes with convolution by a scene on the same grid."""
+    from scipy.signal import convolve2d
+
+    scene, psf = np.zeros((20, 20)), RNG.random((24, 24))
+    scene[::2, ::2] = RNG.random((10, 10))
+    measured = superpixels(convolve2d(scene, psf)[None, :42, :42], "RGGB")
+    for channel, kernel in zip(measured, superpixels(psf[None], "RGGB"), strict=True):
+        assert np.allclose(channel, convolve2d(scene[::2, ::2], kernel)[:21, :21], rtol=1e-12)
+
+
+def test_mosaics_are_recognised_and_grey_captures_are_not() -> None:
+    scene = np.kron(RNG.random((12, 16)) ** 2, np.ones((16, 16)))
+    noise = RNG.normal(0, 0.01, scene.shape)
+    gain = np.ones_like(scene)
+    for k, (place, gains) in enumerate(zip(((0, 0), (0, 1), (1, 0), (1, 1)), (0.6, 1, 1, 0.7), strict=True)):
+        gain[place[0] :: 2, place[1] :: 2] = gains
+        assert k < 4
+    assert looks_like_a_mosaic((100 + 900 * (scene * gain + noise))[None])
+    assert not looks_like_a_mosaic((100 + 900 * (scene + noise))[None])
+    spots = np.zeros((256, 256))
+    spots[100:103, 40:42] = 1  # a pinhole's PSF, on few pixels
+    assert not looks_like_a_mosaic(spots[None])
+
+
+@pytest.mark.parametrize("shape", [(2, 3, 4, 5), (5, ROWS, COLUMNS), (ROWS, COLUMNS, 7), (0, 3), (4,)])
+def test_other_shapes_are_refused(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    np.save(tmp_path / "m.npy", np.ones(shape))
+    with pytest.raises(InputError, match=r"m\.npy: "):
+        read_measured_image(tmp_path / "m.npy")
+
+
+def test_colours_are_refused_where_one_channel_is_wanted(tmp_path: Path) -> None:
+    OpenEXR.File({}, {n: RNG.random((4, 4)).astype(np.float32) for n in "RGB"}).write(str(tmp_path / "m.exr"))
+    with pytest.raises(InputError, match=r"m\.exr: "):
+        read_measurement(tmp_path / "m.exr", ("Y",))
