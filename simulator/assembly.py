@@ -312,9 +312,7 @@ class Assembly:
     @part("psf")
     def _measured_stack(self) -> PsfStack:
         assert not isinstance(self.config.psf, ComputedPsf)
-        return measured_stack(
-            self.config, self.config.psf, self.config.camera.sensor.sensor(NoNoise()), self.mask_to_sensor_m, self.gap
-        )
+        return measured_stack(self.config, self.config.psf, self.geometry, self.config.camera.sensor.sensor(NoNoise()))
 
     @property
     def wants_full_check(self) -> bool:

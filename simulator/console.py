@@ -141,13 +141,13 @@ class JsonLog(_Progress):
 
 def describe_stack(stack: PsfStack, sensor_shape: tuple[int, int], scene_shape: tuple[int, int]) -> str:
     """Return what is worth knowing of a PSF stack, with its measured errors, one line each."""
-    from simulator.optics.error_budget.budget import budget_lines, read_budget
+    from simulator.optics.error_budget.budget import budget_lines
     from simulator.plots.psf_facts import psf_facts
 
     facts = psf_facts(stack, None, scene_shape, sensor_shape)
     width = max(len(what) for what, _ in facts)
     lines = [f"{what:>{width}}  {value}" for what, value in facts]
-    budget = budget_lines(read_budget(stack))
+    budget = budget_lines(stack)
     return "\n".join([*lines, *([""] if budget else []), *budget])
 
 

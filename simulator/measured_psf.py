@@ -11,9 +11,9 @@ from simulator.config import Config
 from simulator.config.psf import MeasuredPsf, StoredPsf
 from simulator.errors import InputError
 from simulator.optics.materials import AIR
-from simulator.optics.stack import PsfStack
+from simulator.optics.stack import PsfStack, with_channels
 from simulator.optics.stack_files import read_depths_m, read_psf_stack, stack_files, stack_folder
-from simulator.types import Layer
+from simulator.types import CameraGeometry
 
 _SAME_LENGTH = 1e-6  # relative: a length written in mm or um and in metres differs by rounding
 
@@ -24,32 +24,33 @@ Layers = list[tuple[float, str]]
 def measured_stack(
     config: Config,
     chosen: MeasuredPsf | StoredPsf,
+    camera: CameraGeometry,
     sensor: Sensor,
-    mask_to_sensor_m: float,
-    gap: tuple[Layer, ...],
 ) -> PsfStack:
     """Read the measured stack and, where other planes are asked for, interpolate it.
 
     Args:
         config: the configuration.
         chosen: its PSF section.
+        camera: whose channels, distance and layers they are.
         sensor: whose pixels the PSF's must become.
-        mask_to_sensor_m: distance in air, metres.
-        gap: the layers from the mask to the sensor.
 
     Raises:
-        InputError: for unreadable files, pixels that are not the sensor's, or planes outside the measured range.
+        InputError: for unreadable files, pixels or channels that are not the camera's, or planes outside the measured range.
     """
     from simulator.optics.interpolation import interpolate_stack
 
     if isinstance(chosen, StoredPsf):
         stack = read_psf_stack(_folder(config, chosen))
-        _refuse_other_geometry(chosen, stack, sensor.binned_pitch_m, mask_to_sensor_m, gap)
+        _refuse_other_geometry(chosen, stack, camera)
+        stack = with_channels(stack, camera.response.channels, "psf.measured")
     else:
-        stack = _from_pictures(config, chosen, sensor)
+        stack = _from_pictures(config, chosen, sensor, camera.response.channels)
     if chosen.planes is None:
         return stack
-    return interpolate_stack(stack, chosen.planes.depths_m, mask_to_sensor_m, extrapolate=chosen.planes.extrapolate)
+    return interpolate_stack(
+        stack, chosen.planes.depths_m, camera.mask_to_sensor_m, extrapolate=chosen.planes.extrapolate
+    )
 
 
 def measured_depths_m(config: Config, chosen: MeasuredPsf | StoredPsf) -> tuple[float, ...]:
@@ -80,7 +81,7 @@ def _pictures(config: Config, chosen: MeasuredPsf) -> list[Path]:
     return files
 
 
-def _from_pictures(config: Config, chosen: MeasuredPsf, sensor: Sensor) -> PsfStack:
+def _from_pictures(config: Config, chosen: MeasuredPsf, sensor: Sensor, channels: tuple[str, ...]) -> PsfStack:
     from simulator.optics.measured import load_measured_psf
 
     stack = load_measured_psf(
@@ -88,9 +89,12 @@ def _from_pictures(config: Config, chosen: MeasuredPsf, sensor: Sensor) -> PsfSt
         [depth * 1e-2 for depth in chosen.depths_cm],
         sensor.binned_pitch_m,
         frame=chosen.frame,
+        cfa=chosen.cfa,
+        crop=chosen.crop,
         binning=chosen.binning,
         background=_background(config, chosen),
         throughput_m2=chosen.throughput_mm2 * 1e-6,
+        channels=channels,
     )
     for axis, have, physical in zip(("rows", "columns"), stack.values.shape[-2:], sensor.physical_shape, strict=True):
         if have * sensor.binning > physical:
@@ -103,14 +107,13 @@ def _from_pictures(config: Config, chosen: MeasuredPsf, sensor: Sensor) -> PsfSt
     return stack
 
 
-def _refuse_other_geometry(
-    chosen: StoredPsf, stack: PsfStack, pitch_m: float, mask_to_sensor_m: float, gap: tuple[Layer, ...]
-) -> None:
+def _refuse_other_geometry(chosen: StoredPsf, stack: PsfStack, camera: CameraGeometry) -> None:
     """Refuse a stack of other pixels or made behind another gap; a stack of images does not say what its gap was.
 
     Raises:
         InputError: naming both pitches, distances or gaps.
     """
+    pitch_m, mask_to_sensor_m = camera.pixel_pitch_m, camera.mask_to_sensor_m
     if not math.isclose(stack.pixel_pitch_m, pitch_m, rel_tol=_SAME_LENGTH):
         raise InputError(
             "psf.measured",
@@ -127,7 +130,7 @@ def _refuse_other_geometry(
             f"the stack in {chosen.measured} was made with {made} of air, or as much as that, from mask to "
             f"sensor, the camera has {asked}; set camera.mask_to_sensor_mm, or gap and substrate, as when it was made",
         )
-    own_gap = [(layer.thickness_m, layer.material.name) for layer in gap]
+    own_gap = [(layer.thickness_m, layer.material.name) for layer in camera.gap]
     made_gap = [(layer["thickness_m"], layer["material"]) for layer in stack.provenance.get("gap", ())]
     if own_gap and not _same_layers(own_gap, made_gap or [(recorded_m, AIR.name)]):
         made, asked = (_shown(layers) for layers in (made_gap, own_gap))

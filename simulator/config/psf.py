@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from simulator.config.camera import IlluminantConfig
+from simulator.io.measurements import Cfa
 from simulator.io.tables import NM
 from simulator.optics.spectra import Led
 from simulator.optics.stack import depth_planes
@@ -176,11 +177,21 @@ class MeasuredPsf(Section):
     """A stack of measured images of a point source: a file per depth, or one .npy file with all of them."""
 
     measured: Annotated[tuple[PathText, ...], Field(min_length=1)] = Field(
-        description="image files (TIFF, EXR, npy), nearest depth first; relative to the YAML file"
+        description="image files (TIFF, PNG, EXR, npy, raw), nearest depth first; relative to the YAML file"
     )
     depths_cm: Depths = Field(description="distance of the point source from the mask for each file, centimetres")
     frame: Literal["physical", "stored"] = Field(
         description="orientation of the files: physical as the sensor saw it, stored if rotated by 180 degrees"
+    )
+    cfa: Cfa | None = Field(
+        default=None,
+        description="of files that are a colour sensor's mosaic: colours of the upper left 2 x 2 pixels, which become one; "
+        "none insists on grey",
+    )
+    crop: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None,
+        description="the part that is taken, ROWSxCOLUMNS about the centre or ROWSxCOLUMNS+TOP+LEFT: after cfa, before "
+        "binning",
     )
     binning: Annotated[int, Range(1, 64)] = Field(default=1, description="pixels per side that become one")
     background: Literal["border", "none"] | Annotated[float, Range(0, 1e9)] | str = Field(

@@ -46,7 +46,7 @@ from simulator.dataset.shards import Shard, alone, remove_unfinished, sharing
 from simulator.errors import InputError
 from simulator.io.files import StorageError
 from simulator.io.store import Place, StorePath
-from simulator.optics.error_budget.budget import budget_lines, read_budget
+from simulator.optics.error_budget.budget import budget_lines
 from simulator.optics.stack import PsfStack
 
 OFF_SENSOR_WARNING = 0.01
@@ -331,7 +331,7 @@ class _Job:
 
     def _warn(self, stack: PsfStack) -> None:
         """Say what the user should know before relying on the data."""
-        for line in budget_lines(read_budget(stack)):
+        for line in budget_lines(stack):
             self.say(line)
         lost = stack.provenance.get("light_off_sensor", 0.0)
         if lost > OFF_SENSOR_WARNING and self.plan.config.forward.boundary == "linear":

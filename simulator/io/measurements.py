@@ -283,6 +283,36 @@ def superpixels(mosaic: NDArray[Any], cfa: Cfa) -> NDArray[np.float64]:
     return np.stack([np.mean([phases[k] for k in range(4) if cfa[k] == colour], axis=0) for colour in "RGB"])
 
 
+def in_colours(
+    image: MeasuredImage, cfa: Cfa | None, path: Path, option: str = "cfa", *, judge: bool = True
+) -> NDArray[Any]:
+    """Return an image with a mosaic's colours apart, ``(3, H // 2, W // 2)``, and any other image as it is.
+
+    Args:
+        image: what was read from ``path``.
+        cfa: what the user says of a mosaic; None believes the file, and otherwise, with ``judge``, looks.
+        path: for messages, as ``option`` is.
+        option: what ``cfa`` is called.
+        judge: whether a grey image that seems to be a mosaic is refused.
+
+    Raises:
+        InputError: it seems to be a mosaic, and nothing says of which colours; or it is too small for one.
+    """
+    told = cfa or image.cfa
+    if len(image.values) > 1 or told == "none":
+        return image.values
+    if told is not None:
+        if told not in get_args(Cfa):
+            raise InputError(option, f"got {told!r}, expected one of {', '.join(get_args(Cfa))}")
+        if min(image.values.shape[-2:]) < 2:
+            raise InputError(path, f"got {image.values.shape[-2:]} pixels, too few for a mosaic of 2 x 2")
+        return superpixels(image.values, told)
+    if judge and looks_like_a_mosaic(image.values):
+        wanted = "give its upper left 2 x 2 pixels, row by row: RGGB, BGGR, GRBG or GBRG; or none for a grey sensor"
+        raise InputError(option, f"missing; {path} looks like the mosaic of a colour sensor; {wanted}")
+    return image.values
+
+
 _BLOCK = 16  # of the 2 x 2, each way
 _BLOCKS, _LIT = 16, 0.05  # fewer blocks that are as bright as this share of the brightest say nothing
 _CLEAR_MOSAIC = 0.04  # of the light; columns that are read by two converters differ by less
@@ -296,6 +326,8 @@ def looks_like_a_mosaic(image: NDArray[Any]) -> bool:
     differ by noise and detail; colourless light seen through a mosaic with equal response looks grey, and is.
     """
     rows, columns = (size // (2 * _BLOCK) for size in image.shape[-2:])
+    if rows * columns < _BLOCKS:
+        return False
     part = image[0, : rows * 2 * _BLOCK, : columns * 2 * _BLOCK].astype(np.float64)
     # (place in 2 x 2, block): the light above the image's darkest.
     places = part.reshape(rows, _BLOCK, 2, columns, _BLOCK, 2).mean(axis=(1, 4)) - np.percentile(part, 1)

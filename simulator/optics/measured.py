@@ -10,6 +10,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -17,7 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.io.measurements import check_numbers, read_measurement, read_npy
+from simulator.io.measurements import (
+    GREY,
+    RGB,
+    Cfa,
+    MeasuredImage,
+    check_numbers,
+    crop_window,
+    in_colours,
+    read_measured_image,
+    read_npy,
+)
 from simulator.optics.stack import PsfStack, check_depths
 
 Background: TypeAlias = Literal["border", "none"] | float | Path
@@ -26,6 +37,8 @@ BORDER_SHARE = 0.02
 """Thickness of the outer frame whose median is the background, as a share of the shorter side."""
 OFF_CENTRE_SHARE = 0.125
 """A centre of mass farther from the origin than this share of a side is noted as a warning."""
+CUT = 0.1
+"""Light along an edge, as a share of the image's mean, from which a PSF is taken to go on beyond its image."""
 
 
 def load_measured_psf(
@@ -34,43 +47,48 @@ def load_measured_psf(
     pixel_pitch_m: float,
     *,
     frame: Literal["physical", "stored"],
+    cfa: Cfa | None = None,
+    crop: str | None = None,
     binning: int = 1,
     background: Background = "border",
     throughput_m2: float,
-    channels: tuple[str, ...] = ("R", "G", "B"),
+    channels: tuple[str, ...] | None = RGB,
 ) -> PsfStack:
-    """Read measured PSFs, remove their background, bin, rotate and scale them.
+    """Read measured PSFs, remove their background, crop, bin, rotate and scale them.
 
     Args:
-        files: one image per depth (TIFF, PNG, OpenEXR, ``.npy``; grey: the same PSF for every channel), or a single
+        files: one image per depth (see `read_measured_image`; grey: the same PSF for every channel), or a single
             ``.npy`` of ``(K, H, W)`` or ``(K, C, H, W)``. Values must be linear in light.
         depths_m: ``(K,)`` depth of the point source from the mask plane, metres, increasing.
         pixel_pitch_m: pitch of the binned pixels, metres.
         frame: ``physical`` as read from the sensor (rotated here by 180 degrees), or ``stored`` (a pinhole's image is
             upright). The origin is sample ``(H // 2, W // 2)`` of the binned image.
+        cfa: colours of the upper left 2 x 2 pixels of files that are a colour sensor's mosaic; each 2 x 2 becomes a pixel.
+        crop: ``ROWSxCOLUMNS`` about the centre or ``ROWSxCOLUMNS+TOP+LEFT``; its centre becomes the origin.
         binning: pixels per side that are averaged into one; an image that does not divide is cropped in its centre.
         background: ``border`` takes the median of the image's outer 2 % frame, per image and channel (a PSF that fills
             the sensor needs another choice); a number of counts; a file with a dark image; or ``none``.
         throughput_m2: power that reaches the sensor per unit irradiance on the mask, square metres, as the mean over
             depths and channels: transmittance times aperture area, when nothing is cropped.
-        channels: names of the channels.
+        channels: names of the channels; None takes those of the files, R, G, B or grey.
 
     Returns:
         The stack, ``values`` ``(K, C, H, W)`` float32; ``provenance`` records the background levels, the share of light
         that was negative after their removal and set to zero, crops, centres of mass and warnings.
 
     Raises:
-        InputError: when files and depths do not match, a file is unreadable or differs in shape, holds NaN, or nothing
-            is left of a PSF after the background's removal.
+        InputError: when files and depths do not match, a file is unreadable or differs in shape, holds NaN, seems to be a
+            mosaic of which ``cfa`` says nothing, or nothing is left of a PSF after the background's removal.
     """
     depths = np.asarray(depths_m, np.float64)
     check_depths(depths)
     _check_numbers_given(pixel_pitch_m, throughput_m2, binning, frame)
-    level = _Background(background, channels)
+    read = _Reading(channels, cfa, crop)
+    level = _Background(background, read)
     planes: list[NDArray[np.float64]] = []
     records: list[dict[str, Any]] = []
     shape: tuple[int, ...] | None = None
-    for name, image in _images([Path(file) for file in files], len(depths), channels):
+    for name, image in read.images([Path(file) for file in files], len(depths)):
         if shape is not None and image.shape != shape:
             raise InputError(
                 name, f"{_size(image.shape)}, but the first PSF is {_size(shape)}; all depths need one size"
@@ -80,6 +98,8 @@ def load_measured_psf(
         planes.append(_rotated(light) if frame == "physical" else light)
         records.append(record)
     values = np.stack(planes)
+    if channels is None:
+        channels = RGB if values.shape[1] == 3 else GREY
     energy = values.sum(axis=(-2, -1))
     if not np.all(energy > 0):
         k = int(np.argwhere(energy <= 0)[0][0])
@@ -90,8 +110,10 @@ def load_measured_psf(
         )
     scale = throughput_m2 / (energy.mean() * pixel_pitch_m**2)
     centres = [_centre_of_mass(plane) for plane in values.sum(axis=1)]
+    told = {name: value for name, value in (("cfa", cfa), ("crop", crop)) if value is not None}
     settings = {
         "kind": "measured",
+        **told,
         "frame": frame,
         "binning": binning,
         "background": level.name,
@@ -103,7 +125,7 @@ def load_measured_psf(
         "turned_by_180_degrees": frame == "physical",
         "scale_per_count": float(scale),
         "images": [{**record, "centre_of_mass_px": list(c)} for record, c in zip(records, centres, strict=True)],
-        "warnings": _warnings(centres, values.shape, depths),
+        "warnings": _warnings(centres, values, depths),
     }
     hashes = [_sha256(Path(file)) for file in files]
     identity = [settings, hashes, level.sha256, depths.tolist(), pixel_pitch_m, list(channels)]
@@ -117,10 +139,49 @@ def load_measured_psf(
     )
 
 
+@dataclass(frozen=True)
+class _Reading:
+    """How files become images ``(1 or C, H, W)``: their colours and the part that is wanted."""
+
+    channels: tuple[str, ...] | None
+    cfa: Cfa | None
+    crop: str | None
+
+    def one(self, path: Path, *, judge: bool = True) -> NDArray[Any]:
+        """Return the image of a file; without ``judge`` a mosaic is not looked for."""
+        return self._part(read_measured_image(path, self.channels or RGB), path, judge)
+
+    def images(self, files: list[Path], depths: int) -> Iterator[tuple[str, NDArray[Any]]]:
+        """Yield name and image for each depth, one at a time: a stack of raw captures may be large."""
+        count = 3 if self.channels is None else len(self.channels)
+        if len(files) == 1 and files[0].suffix.lower() == ".npy" and depths > 1:
+            stack = check_numbers(read_npy(files[0]), files[0])
+            stack = stack[:, None] if stack.ndim == 3 else stack
+            if stack.ndim == 4 and stack.shape[1] not in (1, count) and stack.shape[3] in (1, count):
+                stack = np.moveaxis(stack, -1, 1)
+            if stack.ndim != 4 or stack.shape[0] != depths or stack.shape[1] not in (1, count) or 0 in stack.shape:
+                raise InputError(
+                    files[0], f"got shape {stack.shape}, expected ({depths}, H, W) or ({depths}, {count}, H, W)"
+                )
+            for k, image in enumerate(stack):
+                yield f"{files[0].name}[{k}]", self._part(MeasuredImage(image), files[0], True)
+            return
+        if len(files) != depths:
+            raise InputError("files", f"got {len(files)} for {depths} depths: give one per depth, or one .npy with all")
+        yield from ((file.name, self.one(file)) for file in files)
+
+    def _part(self, image: MeasuredImage, path: Path, judge: bool) -> NDArray[Any]:
+        values = in_colours(image, self.cfa, path, judge=judge)
+        if self.channels is not None and len(values) not in (1, len(self.channels)):
+            wanted = f"one grey image, or {', '.join(self.channels)}, the camera's channels"
+            raise InputError(path, f"got {len(values)} channels, expected {wanted}")
+        return values if self.crop is None else values[:, *crop_window(self.crop, path, values.shape[-2:])]
+
+
 class _Background:
     """What is subtracted from every image: a level per channel, or a dark image."""
 
-    def __init__(self, background: Background, channels: tuple[str, ...]) -> None:
+    def __init__(self, background: Background, read: _Reading) -> None:
         self._level: float | None = None
         self._dark: NDArray[Any] | None = None
         self.sha256: str | None = None
@@ -132,7 +193,7 @@ class _Background:
             self._level, self.name = float(background), float(background)
         else:
             path = Path(background)
-            self._dark, self.sha256, self.name = read_measurement(path, channels), _sha256(path), path.name
+            self._dark, self.sha256, self.name = read.one(path, judge=False), _sha256(path), path.name
 
     def of(self, image: NDArray[Any], name: str) -> NDArray[Any]:
         """The background of an image ``(C, H, W)``, broadcastable to it."""
@@ -154,25 +215,6 @@ def border_level(image: NDArray[Any]) -> NDArray[Any]:
     inner = np.zeros(image.shape[-2:], bool)
     inner[width:-width, width:-width] = True
     return np.median(image[:, ~inner], axis=1)[:, None, None]
-
-
-def _images(files: list[Path], depths: int, channels: tuple[str, ...]) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield name and image ``(1 or C, H, W)`` for each depth, one at a time: a stack of raw captures may be large."""
-    if len(files) == 1 and files[0].suffix.lower() == ".npy":
-        stack = check_numbers(read_npy(files[0]), files[0])
-        stack = stack[None] if stack.ndim == 2 else stack
-        if stack.ndim == 3:
-            one_image = depths == 1 and stack.shape[0] == len(channels)  # (C, H, W), as in a file per depth
-            stack = stack[None] if one_image else stack[:, None]
-        if stack.ndim != 4 or stack.shape[0] != depths or stack.shape[1] not in (1, len(channels)) or 0 in stack.shape:
-            raise InputError(
-                files[0], f"got shape {stack.shape}, expected ({depths}, H, W) or ({depths}, {len(channels)}, H, W)"
-            )
-        yield from ((f"{files[0].name}[{k}]", image) for k, image in enumerate(stack))
-        return
-    if len(files) != depths:
-        raise InputError("files", f"got {len(files)} for {depths} depths: give one per depth, or one .npy with all")
-    yield from ((file.name, read_measurement(file, channels)) for file in files)
 
 
 def _clean(
@@ -223,13 +265,40 @@ def _centre_of_mass(plane: NDArray[np.float64]) -> tuple[float, float]:
     return float(plane.sum(1) @ row / plane.sum()), float(plane.sum(0) @ column / plane.sum())
 
 
-def _warnings(centres: list[tuple[float, float]], shape: tuple[int, ...], depths: NDArray[np.float64]) -> list[str]:
-    return [
+def cut_edges(plane: NDArray[np.floating]) -> dict[str, float]:
+    """Return the edges at which a PSF ``(H, W)`` seems to be cut, with the light along them as a share of the mean.
+
+    A PSF fades where it ends. `CUT` is far above what noise leaves after the background's removal, and below what a cut
+    leaves: the image of a diffuser has about its mean there.
+    """
+    width = max(1, round(BORDER_SHARE * min(plane.shape)))
+    strips = {"top": plane[:width], "bottom": plane[-width:], "left": plane[:, :width], "right": plane[:, -width:]}
+    mean = float(plane.mean())
+    return {edge: share for edge, strip in strips.items() if (share := float(strip.mean()) / mean) > CUT}
+
+
+def _warnings(
+    centres: list[tuple[float, float]], values: NDArray[np.float64], depths: NDArray[np.float64]
+) -> list[str]:
+    rows, columns = values.shape[-2:]
+    off = [
         f"the PSF of {depth:g} m has its centre of mass ({row:.1f}, {column:.1f}) pixels from the grid's origin: "
         "the scene will appear shifted by as much"
         for depth, (row, column) in zip(depths, centres, strict=True)
-        if abs(row) > OFF_CENTRE_SHARE * shape[-2] or abs(column) > OFF_CENTRE_SHARE * shape[-1]
+        if abs(row) > OFF_CENTRE_SHARE * rows or abs(column) > OFF_CENTRE_SHARE * columns
     ]
+    cut = [
+        f"the PSF of {depth:g} m is cut by its image: {shown_edges(edges)}; the light beyond is missing"
+        for depth, plane in zip(depths, values.mean(axis=1), strict=True)
+        if (edges := cut_edges(plane))
+    ]
+    return off + cut
+
+
+def shown_edges(edges: dict[str, float]) -> str:
+    """Return the edges of `cut_edges` in words."""
+    shown = ", ".join(f"{share:.0%} ({edge})" for edge, share in edges.items())
+    return f"its edges still have {shown} of its mean irradiance"
 
 
 def _check_numbers_given(pixel_pitch_m: float, throughput_m2: float, binning: int, frame: str) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import hashlib
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,26 @@ class PsfStack:
         """Return the power per unit irradiance, ``(K, C)`` float64 square metres."""
         power = np.sum(to_numpy(self.values), axis=(-2, -1), dtype=np.float64)
         return np.asarray(power) * self.pixel_pitch_m**2
+
+
+def with_channels(stack: PsfStack, channels: tuple[str, ...], option: str) -> PsfStack:
+    """Return a stack for a camera of these channels, where it has as many, or where one serves for all.
+
+    One PSF serves each of several channels, and equal ones are one: what was measured in grey is the same whatever it was
+    stored as. An InputError, which names ``option``, refuses the rest.
+    """
+    own = stack.channels
+    if own == channels:
+        return stack
+    values = stack.values
+    if len(own) > 1 and np.array_equal(to_numpy(values), np.broadcast_to(to_numpy(values)[:, :1], values.shape)):
+        values = values[:, :1]
+    if values.shape[1] not in (1, len(channels)):
+        reason = f"got PSFs of {', '.join(own)}, which differ, for a camera of {', '.join(channels)}"
+        raise InputError(option, f"{reason}; give PSFs of this camera")
+    repeated = np.repeat(to_numpy(values), len(channels) // values.shape[1], axis=1)
+    identity = hashlib.sha256(f"{stack.fingerprint} {' '.join(channels)}".encode()).hexdigest()
+    return replace(stack, values=repeated, channels=channels, fingerprint=identity)
 
 
 def check_depths(depths_m: np.ndarray) -> None:

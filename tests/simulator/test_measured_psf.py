@@ -1,13 +1,17 @@
 """Stacks from folders, and measured stacks at other planes, as a configuration asks for them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from simulator.assembly import Assembly
 from simulator.config import load_config
+from simulator.dataset import open_dataset
 from simulator.errors import InputError
 from simulator.optics.interpolation import interpolate_stack
-from simulator.optics.stack_files import write_psf_stack
+from simulator.optics.stack import with_channels
+from simulator.optics.stack_files import read_psf_stack, write_psf_stack
 
 pytestmark = pytest.mark.filterwarnings("ignore::simulator.optics.error_budget.sampling.SamplingWarning")
 NO_MASK = {"mask": None}
@@ -117,3 +121,36 @@ def test_a_stack_of_another_gap_is_refused(trial, made, now, words) -> None:
     else:
         with pytest.raises(InputError, match=words):
             _ = Assembly(config).psf_stack
+
+
+MONO = "wavelength_nm,Y\n400,0.3\n550,0.8\n700,0.2\n"
+
+
+def test_a_grey_camera_measured_in_grey_makes_a_grey_data_set(trial) -> None:
+    (trial.folder / "mono.csv").write_text(MONO, encoding="utf-8")
+    light = np.random.default_rng(0).exponential(1, (2, 41, 41))
+    np.save(trial.folder / "psf.npy", light)
+    psf = {"measured": ["psf.npy"], "depths_cm": [4, 20], "frame": "stored", "background": "none", "throughput_mm2": 1}
+    sensor = {"binning": 8, "shape": [24, 30], "spectral_response": "mono.csv"}
+    root = trial.generate(camera=NO_MASK | {"sensor": sensor, "exposure": {}}, psf=psf)
+    assert read_psf_stack(root / "psf").channels == ("Y",)
+    dataset = open_dataset(root, "train")
+    measurement, noiseless = dataset.stored(0).measurement()
+    frame = dataset.stored(0).frame(0)
+    assert measurement.shape == noiseless.shape == (1, *dataset.info.sensor_shape)
+    # The rows of a fitted matrix keep white, and each grey value is a mixture of the scene's colours.
+    assert np.sum(dataset.info.colour_matrix) == pytest.approx(1)
+    assert frame.rgb.max() > 0
+
+
+def test_channels_that_are_equal_are_one_and_one_serves_all(trial, stored) -> None:
+    values = np.asarray(stored.values)
+    equal = replace(stored, values=np.repeat(values[:, :1], 3, axis=1))
+    grey = with_channels(equal, ("Y",), "--stack")
+    np.testing.assert_array_equal(grey.values, values[:, :1])
+    again = with_channels(grey, ("R", "G", "B"), "--stack")
+    np.testing.assert_array_equal(again.values, equal.values)
+    assert with_channels(stored, stored.channels, "--stack") is stored
+    assert len({equal.fingerprint, grey.fingerprint, again.fingerprint}) == 3
+    with pytest.raises(InputError, match=r"^--stack: "):
+        with_channels(stored, ("Y",), "--stack")

@@ -69,15 +69,17 @@ def read_budget(stack: PsfStack) -> list[BudgetRow]:
     return [BudgetRow(**row) for row in stack.provenance.get("budget", [])]
 
 
-def budget_lines(rows: Sequence[BudgetRow]) -> list[str]:
+def budget_lines(stack: PsfStack) -> list[str]:
     """Return a heading, a line per row (how large, its cause, of what it is the error, what to change) and warnings."""
+    rows = read_budget(stack)
+    noted = [f"warning: {line}" for line in stack.provenance.get("warnings", [])]
     shown = [(share(row.value), row.name, row.kind, row.change) for row in rows]
     if not shown:
-        return []
+        return noted
     value, name, kind, _ = (max(map(len, column)) for column in zip(*shown, strict=True))
     lines = [f"  {a:>{value}}  {b:{name}}  {c:{kind}}  {d}" for a, b, c, d in shown]
     warnings = [f"warning: {row.name}: {share(row.value)}, {row.kind}; {row.change}" for row in rows if row.warn]
-    return ["error budget, worst first (relative L2 errors, and what makes them smaller):", *lines, *warnings]
+    return ["error budget, worst first (relative L2 errors, and what makes them smaller):", *lines, *warnings, *noted]
 
 
 def budget_rows(sampling: dict[str, Any] | str, errors: dict[str, Any]) -> list[BudgetRow]:

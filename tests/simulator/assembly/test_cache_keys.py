@@ -93,10 +93,11 @@ def test_every_package_behind_a_sample_is_in_the_fingerprint() -> None:
         "platformdirs",
         "pydantic",
         "pydantic_core",
+        "rawpy",
         "ray",
         "yaml",
         "torch",
-    }  # folders, checks, where it is made, and what NumPy replaces
+    }  # folders, checks, files that are named by their hash, where it is made, and what NumPy replaces
     known = {name.lower().replace("-", "_") for name in PACKAGES}
     assert {cache._DISTRIBUTIONS.get(name, name).lower().replace("-", "_") for name in packages - no_value} <= known
 

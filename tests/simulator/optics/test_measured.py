@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import tifffile
 from PIL import Image
+from scipy.ndimage import gaussian_filter
 
 from simulator.errors import InputError
-from simulator.optics.measured import load_measured_psf
+from simulator.optics.measured import cut_edges, load_measured_psf
 
 PITCH = 10e-6
 AREA = 3e-6
@@ -175,14 +176,57 @@ class TestFrame:
                 assert ratio == pytest.approx(values.max() / 50.0, rel=1e-5)
 
     def test_a_centre_of_mass_far_out_is_noted(self, tmp_path):
-        image = np.ones((41, 41))
-        image[35:, 3] = 1e4
+        image = np.zeros((41, 41))
+        image[35:39, 3] = 1e4
         stack = load([save(tmp_path / "psf.npy", image)])
         (record,) = stack.provenance["images"]
-        assert record["centre_of_mass_px"] == pytest.approx([17.5, -16.5], abs=0.5)
+        assert record["centre_of_mass_px"] == pytest.approx([16.5, -17], abs=1e-6)
         (warning,) = stack.provenance["warnings"]
         assert "PSF of 0.1 m" in warning
-        assert load([save(tmp_path / "even.npy", np.ones((41, 41)))]).provenance["warnings"] == []
+        image[2:6, 37] = 1e4
+        assert load([save(tmp_path / "even.npy", image)]).provenance["warnings"] == []
+
+    def test_a_psf_that_its_image_cuts_is_noted_with_its_edges(self, tmp_path, rng):
+        """Speckle within a circle: complete, and with its upper part beyond the image."""
+        rows, columns = np.indices((120, 120)) - 60
+        speckle = gaussian_filter(rng.exponential(1, (120, 120)), 1) * (np.hypot(rows, columns) < 45)
+        complete = 100 + 1000 * speckle + rng.normal(0, 5, speckle.shape)
+        whole = load([save(tmp_path / "whole.npy", complete)], background="border")
+        assert whole.provenance["warnings"] == []
+        cut = load([save(tmp_path / "cut.npy", complete[30:])], background=100.0)
+        (warning,) = cut.provenance["warnings"]
+        assert "(top)" in warning
+        light = complete[30:] - 100
+        assert cut_edges(light) == {"top": pytest.approx(light[:2].mean() / light.mean())}
+
+
+class TestColours:
+    def test_a_mosaic_is_split_cropped_and_binned_in_this_order(self, tmp_path, rng):
+        mosaic, dark = rng.integers(100, 4000, (24, 30), np.uint16), rng.integers(0, 99, (24, 30), np.uint16)
+        told = {"cfa": "GRBG", "crop": "8x12+2+1", "background": save(tmp_path / "dark.tif", dark), "binning": 2}
+        stack = load([save(tmp_path / "psf.tif", mosaic)], **told)
+        light = mosaic.astype(float) - dark
+        colours = [light[::2, 1::2], (light[::2, ::2] + light[1::2, 1::2]) / 2, light[1::2, ::2]]
+        by_hand = np.array(
+            [[[c[i : i + 2, j : j + 2].mean() for j in range(1, 13, 2)] for i in range(2, 10, 2)] for c in colours]
+        )
+        by_hand *= AREA / (by_hand.sum(axis=(1, 2)).mean() * PITCH**2)
+        np.testing.assert_allclose(stack.values[0], by_hand, rtol=1e-6)
+        assert (stack.provenance["cfa"], stack.provenance["crop"]) == ("GRBG", "8x12+2+1")
+
+    def test_a_mosaic_of_which_nothing_is_said_is_refused_and_none_insists(self, tmp_path, rng):
+        light = gaussian_filter(rng.exponential(1, (200, 260)), 3)
+        light[::2, ::2] *= 0.5
+        light[1::2, 1::2] *= 0.6
+        file = save(tmp_path / "psf.tif", (4e4 * light / light.max()).astype(np.uint16))
+        refuses("^cfa: ", [file])
+        assert load([file], cfa="none").provenance["same_psf_for_all_channels"]
+
+    def test_without_names_the_channels_are_the_files(self, tmp_path, rng, grey):
+        colour = rng.integers(0, 200, (9, 13, 3), dtype=np.uint8)
+        assert load([save(tmp_path / "c.png", colour)], channels=None).channels == ("R", "G", "B")
+        assert load([save(tmp_path / "g.png", grey)], channels=None).channels == ("grey",)
+        refuses(r"c\.png: ", [tmp_path / "c.png"], channels=("Y",))
 
 
 class TestRecord:
