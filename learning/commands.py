@@ -152,7 +152,7 @@ def swap_masks(
     print("\n".join([*aligned(found.table), "", found.light, f"look at {found.report}"]))
 
 
-Sample = Argument(help="a sample's folder, or a linear image: EXR, TIFF, PNG, npy", show_default=False)
+Sample = Argument(help="a sample's folder, or a linear image: EXR, TIFF, PNG, npy, raw", show_default=False)
 Network = Option(help="a trained network: file, or name of a shipped one; default: the shipped one that fits")
 Stack = Option(help="its PSFs: folder of a stack or data set, image of one PSF; a sample's own: nominal, captured")
 Parameter = Option("--set", metavar="KEY=VALUE", help="one of its parameters, e.g. regularisation_lambda=0.01")
@@ -163,6 +163,9 @@ PsfBackground = Option(help="the same for the image of a PSF; or border (its fra
 How = "physical, as read from the sensor, or stored, rotated by 180 degrees so that a pinhole's image is upright"
 InFrame = Option(help=f"orientation of an image file: {How}; samples record theirs")
 PsfFrame = Option(help="the same for the image of a PSF; default: as the measurement")
+Mosaic = Option(help="colours of a raw mosaic's upper left 2 x 2 pixels (RGGB, BGGR, GRBG, GBRG), or none: it is grey")
+Mirrored = Option(help="how the capture is mirrored against the PSFs: none, left-right, up-down")
+PsfBinning = Option(help="binning of the PSFs where it is another one; of an image default: --binning, of a stack 1")
 Crop = Option(help="ROWSxCOLUMNS about the centre, or ROWSxCOLUMNS+TOP+LEFT, of the file's pixels")
 Classical = (
     "a classical method: cls, admm or pnp; of clips joint, joint3d, fista, pnp_clips, static, slivers, udn or nstm"
@@ -182,13 +185,16 @@ def reconstruct(
     volume: Annotated[bool, Option("--volume", help="write the volume too, a plane per depth")] = False,
     bits: Annotated[int | None, Bits] = None,
     background: Annotated[str | None, Background] = None,
+    cfa: Annotated[str | None, Mosaic] = None,
     psf_background: Annotated[str | None, PsfBackground] = None,
     psf_crop: Annotated[str | None, Option(help="the same as --crop for the image of a PSF")] = None,
     crop: Annotated[str | None, Crop] = None,
+    mirror: Annotated[str, Mirrored] = "none",
     frame: Annotated[str | None, InFrame] = None,
     psf_frame: Annotated[str | None, PsfFrame] = None,
     accept_frame: Annotated[bool, Option("--accept-frame", help="proceed even if the frames seem mixed up")] = False,
     binning: Annotated[int, Option(help="binning factor per side, also applied to the PSF's image")] = 1,
+    psf_binning: Annotated[int | None, PsfBinning] = None,
     scene: Annotated[str | None, Scene] = None,
     white: Annotated[float | None, Option(help="radiance shown as white in image.png; default: from the image")] = None,
     seconds: Annotated[

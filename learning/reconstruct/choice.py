@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,8 @@ from learning.classical.by_name import ALL_DEFAULTS, OF_CLIPS, build_method, lea
 from learning.classical.method import PLANAR_DEFAULTS, PlanarMethod, check_parameters
 from learning.method import Method
 from learning.models import learned_method
-from learning.reconstruct.inputs import RGB, Frame, Measurement, check_frame, load_psf_image
+from learning.reconstruct.inputs import Measurement, Request
+from learning.reconstruct.psfs import psfs_of_capture
 from learning.tune.study import load_tuned
 from simulator.dataset.dataset_info import FILE
 from simulator.dataset.reader import Dataset, open_dataset
@@ -26,23 +26,6 @@ from simulator.optics.stack_files import DESCRIPTION, read_psf_stack, stack_fold
 from simulator.plots.drawing import centimetres
 
 _TYPICAL = "twice the mean radiance of a scene that sends this much light"
-
-
-@dataclass(frozen=True)
-class Request:
-    """What the user says; see the options of `flatlight reconstruct`."""
-
-    checkpoint: str | None = None
-    method: str | None = None
-    stack: str | None = None
-    psf_background: str | None = None
-    psf_crop: str | None = None
-    psf_frame: Frame | None = None
-    binning: int = 1
-    scene: tuple[int, int] | None = None
-    tuned: Path | None = None
-    noise_db: float | None = None
-    parameters: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,23 +183,17 @@ def camera_of(measurement: Measurement, request: Request) -> tuple[CaptureModel,
         if dataset is not None:
             found = f"{place} is an image, but {measurement.path} is a sample of a data set"
             raise InputError("--stack", f"{found}; give a stack's folder")
-        channels = RGB if len(measurement.channels) == 3 else measurement.channels
-        frame = request.psf_frame or measurement.frame or "stored"
-        check_frame(frame, "--psf-frame")
-        options: dict[str, Any] = {"background": request.psf_background, "crop": request.psf_crop, "frame": frame}
-        found = load_psf_image(place, channels, binning=request.binning, **options)
     elif (place / FILE).is_file() and dataset is None:
         train = open_dataset(place, "train")
         return capture_model(train), f"of {place}, whose camera took the measurement", train
     elif not (folder / DESCRIPTION).is_file():
         what = "neither the image of a PSF nor the folder of a stack or a data set"
         raise InputError("--stack", f"{place} is {what}; `flatlight psf` makes stacks")
-    else:
-        found = read_psf_stack(folder)
-    if dataset is not None:
-        return capture_model(dataset, found), _of_own(dataset), dataset
-    _check_channels(measurement, found.channels, f"the stack {stack}")
-    capture = plain_capture(found, measurement.sensor_shape, request.scene)
+    elif dataset is not None:
+        return capture_model(dataset, read_psf_stack(folder)), _of_own(dataset), dataset
+    found, notes = psfs_of_capture(place if place.is_file() else folder, measurement, request)
+    noted = replace(found, provenance=found.provenance | {"notes": notes})
+    capture = plain_capture(noted, measurement.sensor_shape, request.scene)
     return capture, "none: gain 1, no vignetting, colours as they are; radiance has an unknown factor", None
 
 
@@ -281,7 +258,7 @@ def _white(
 
 def _camera_record(capture: CaptureModel, numbers: str, white_from: str) -> dict[str, Any]:
     """Return what a camera is, and where its numbers and its white come from, JSON-serialisable."""
-    shown = ("kind", "frame", "background", "crop", "binning", "images")
+    shown = ("kind", "frame", "background", "cfa", "crop", "binning", "images", "notes", "warnings")
     return {
         "numbers_from": numbers,
         "psfs": shown_stack(capture.stack),
@@ -303,7 +280,8 @@ def shown_stack(stack: PsfStack) -> str:
     depths_m = stack.depths_m
     ends = " to ".join(centimetres(float(depth)) for depth in dict.fromkeys((depths_m[0], depths_m[-1])))
     count = f"{len(depths_m)} plane{'s' if len(depths_m) > 1 else ''}"
-    return f"{count}, {ends}, {stack.pixel_pitch_m * 1e6:.4g} um pixels ({stack.fingerprint[:8]})"
+    notes = "".join(f"; {note}" for note in stack.provenance.get("notes", ()))
+    return f"{count}, {ends}, {stack.pixel_pitch_m * 1e6:.4g} um pixels ({stack.fingerprint[:8]}){notes}"
 
 
 def _size(shape: tuple[int, int], between: str = " x ") -> str:

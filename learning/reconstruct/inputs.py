@@ -1,11 +1,10 @@
-"""Reading a measurement, and the image of a PSF: cropped, cleaned and binned by one rule, as they share a sensor."""
+"""What the user gives to `flatlight reconstruct`: the options of a method and its PSFs, and the measurement."""
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -15,30 +14,7 @@ from simulator.dataset.dataset_info import FILE
 from simulator.dataset.sample import DESCRIPTION, MEASUREMENT, StoredSample
 from simulator.errors import InputError
 from simulator.io.exr import read_exr
-from simulator.io.measurements import read_measurement
-from simulator.optics.measured import Background, load_measured_psf
-from simulator.optics.stack import PsfStack
-
-
-def crop_window(crop: str, path: Path, shape: tuple[int, int], option: str = "crop") -> tuple[slice, slice]:
-    """Return the rows and columns of a crop of an image of this shape.
-
-    ``crop`` is ``ROWSxCOLUMNS`` about the centre, or ``ROWSxCOLUMNS+TOP+LEFT``; ``path`` and ``option`` are for messages.
-    """
-    found = re.fullmatch(r"(\d+)x(\d+)(?:\+(\d+)\+(\d+))?", crop.strip())
-    if not found:
-        wanted = "ROWSxCOLUMNS (about the centre) or ROWSxCOLUMNS+TOP+LEFT, e.g. 1080x1440+60+80"
-        raise InputError(option, f"got {crop!r}, expected {wanted}")
-    sizes = (int(found[1]), int(found[2]))
-    starts = [(whole - size) // 2 for whole, size in zip(shape, sizes, strict=True)]
-    if found[3]:
-        starts = [int(found[3]), int(found[4])]
-    for start, size, whole in zip(starts, sizes, shape, strict=True):
-        if size < 1 or start < 0 or start + size > whole:
-            of = f"{path} of {shape[0]} x {shape[1]} pixels"
-            raise InputError(option, f"got {crop}, which reaches beyond {of}; make it smaller")
-    rows, columns = (slice(start, start + size) for start, size in zip(starts, sizes, strict=True))
-    return rows, columns
+from simulator.io.measurements import GREY, RGB, Cfa, crop_window, in_colours, read_measured_image
 
 
 def check_binning(binning: int, path: Path, shape: tuple[int, ...], crop_option: str = "--crop") -> None:
@@ -59,10 +35,31 @@ def binned(light: NDArray[np.floating[Any]], binning: int, path: Path) -> NDArra
     return blocks.mean(axis=(2, 4), dtype=np.float64)
 
 
-RGB = ("R", "G", "B")
 Frame: TypeAlias = Literal["physical", "stored"]
 """As read from the sensor, or rotated by 180 degrees, so that a pinhole's image is upright."""
+Mirror: TypeAlias = Literal["none", "left-right", "up-down"]
+"""How a file's image is mirrored against the PSFs'."""
 _MOST_OF_SHARES = 2.0  # noise that was not clipped goes beyond full scale, but not so far
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the user says of method and PSFs; see the options of `flatlight reconstruct`."""
+
+    checkpoint: str | None = None
+    method: str | None = None
+    stack: str | None = None
+    cfa: Cfa | None = None
+    psf_background: str | None = None
+    psf_crop: str | None = None
+    psf_frame: Frame | None = None
+    psf_binning: int | None = None
+    crop: str | None = None
+    binning: int = 1
+    scene: tuple[int, int] | None = None
+    tuned: Path | None = None
+    noise_db: float | None = None
+    parameters: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,8 @@ class Measurement:
 
     ``path`` is the file or the sample's folder, ``dataset`` the folder of the data set that it is a sample of; ``channels``
     is ``("grey",)`` for one; ``frame`` is that of the file: samples and copies of their files say ``stored`` themselves, of
-    others it is what was told, or None; ``record`` says what was done to the file's numbers and what was assumed.
+    others it is what was told, or None; ``record`` says what was done to the file's numbers, and what was assumed in its
+    ``notes``.
     """
 
     values: NDArray[np.float32]
@@ -92,34 +90,49 @@ def load_measurement(
     *,
     bits: int | None = None,
     background: str | float | None = None,
+    cfa: Cfa | None = None,
     crop: str | None = None,
     binning: int = 1,
+    mirror: Mirror = "none",
     frame: Frame | None = None,
 ) -> Measurement:
     """Read a measurement; what is done to it follows the order of the arguments.
 
     Args:
-        path: a sample's folder or its ``measurement.exr``; or a TIFF, PNG, OpenEXR or ``.npy`` file of one linear image,
-            grey or RGB, ``(H, W)`` or ``(C, H, W)`` in ``.npy``.
+        path: a sample's folder or its ``measurement.exr``; or the file of one linear image, grey or RGB, see
+            `simulator.io.measurements.read_measured_image`.
         bits: the numbers are divided by 2^bits. None takes unsigned integers by their type (8, 16 or 32 bits) and floats as
             shares already.
         background: what the sensor shows without light, in the file's numbers: one number, or an image's path.
-        crop: ``ROWSxCOLUMNS`` about the centre, or ``ROWSxCOLUMNS+TOP+LEFT``, in the file's pixels.
+        cfa: colours of the upper left 2 x 2 pixels of a colour sensor's mosaic; each 2 x 2 becomes a pixel of three
+            channels. None believes a raw file; ``none`` insists that an image is grey.
+        crop: ``ROWSxCOLUMNS`` about the centre, or ``ROWSxCOLUMNS+TOP+LEFT``, in the file's pixels; of a mosaic in its 2 x 2.
         binning: pixels per side whose mean becomes one.
+        mirror: how the file's image is mirrored against the PSFs'; undone here.
         frame: of an image's file: ``physical`` is rotated here; None leaves it as it is, to be told later.
 
     Raises:
         InputError: a file that cannot be read or holds NaN, numbers above 2^bits, floats far above 1 without
-            ``bits``, a background of another size, a crop beyond the image, a size that the binning does not divide, or a
-            frame for a sample, which says it itself.
+            ``bits``, a background of another size, what seems to be a mosaic of which ``cfa`` says nothing, a crop beyond the
+            image, a size that the binning does not divide, or a frame, mirror or mosaic for a sample, which says all itself.
     """
     path = Path(path)
     if bits is not None and not 1 <= bits <= 32:
         raise InputError("bits", f"got {bits}, expected 1 to 32, the sensor's bit depth")
     sample = _sample_folder(path)
+    notes: tuple[str, ...] = ()
     if sample is None:
-        values, channels = _channels_first(path)
+        image = read_measured_image(path)
+        values, notes = image.values, image.notes
+        if bits is not None and image.cfa is not None:
+            raise InputError("bits", f"got {bits}, but {path} states its own range; leave it out")
         scale, assumed = _scale(values, bits, path)
+        light = in_colours(image, cfa, path, "--cfa") / scale
+        if light.shape != values.shape:
+            notes = (*notes, f"mosaic {cfa or image.cfa}: each 2 x 2 pixels are one")
+        elif cfa not in (None, "none"):
+            raise InputError("--cfa", f"got {cfa}, but {path} has {len(values)} channels, not a mosaic; leave it out")
+        channels = RGB if len(light) == 3 else GREY
         dataset = label = None
         if frame is None and path.suffix.lower() == ".exr" and "sensor_shape" in read_exr(path)[1]:
             frame = "stored"  # a file of ours that was copied out of its sample says so itself
@@ -127,16 +140,18 @@ def load_measurement(
         stored = StoredSample(sample)
         values, channels, label = stored.measurement()[0], stored.channels, stored.label
         scale, assumed = (1.0, "as stored: DN / 2^bits") if bits is None else (2.0**bits, "as told")
-        if frame is not None:
-            raise InputError("frame", f"got {frame}, but {sample} is a sample, whose frame is stored; leave it out")
-        frame = "stored"
+        for option, told in (("frame", frame), ("--mirror", None if mirror == "none" else mirror), ("--cfa", cfa)):
+            if told is not None:
+                raise InputError(option, f"got {told}, but {sample} is a sample, which says that itself; leave it out")
+        frame, light = "stored", values / scale
         dataset = sample.parents[2] if (sample.parents[2] / FILE).is_file() else None
-    record: dict[str, Any] = {"file": str(path), "shape": list(values.shape), "divided_by": scale, "scale": assumed}
+    record: dict[str, Any] = {"file": str(path), "shape": list(light.shape), "divided_by": scale, "scale": assumed}
+    if notes:
+        record["notes"] = list(notes)
     if label is not None:
         record["label"] = label
-    light = values / scale
     if background is not None:
-        dark, words = _dark(background, values, path)
+        dark, words = _dark(background, light.shape, path, cfa)
         light = light - dark / scale
         record["background"] = words
     if crop is not None:
@@ -145,6 +160,11 @@ def load_measurement(
     if binning != 1:
         light = binned(light, binning, path)
         record["binning"] = binning
+    if mirror != "none":
+        if mirror not in get_args(Mirror):
+            raise InputError("--mirror", f"got {mirror!r}, expected one of {', '.join(get_args(Mirror))}")
+        light = light[:, :, ::-1] if mirror == "left-right" else light[:, ::-1]
+        record["mirror"] = mirror
     if frame is not None:
         check_frame(frame, "frame")
         record["frame"] = frame
@@ -175,11 +195,6 @@ def _sample_folder(path: Path) -> Path | None:
     return None
 
 
-def _channels_first(path: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
-    values = read_measurement(path, RGB)
-    return values, RGB if len(values) == 3 else ("grey",)
-
-
 def _scale(values: NDArray[Any], bits: int | None, path: Path) -> tuple[float, str]:
     """Return what full scale is in the file's numbers, and why."""
     kind = values.dtype
@@ -197,8 +212,10 @@ def _scale(values: NDArray[Any], bits: int | None, path: Path) -> tuple[float, s
     return scale, "as told" if bits else f"assumed from the file's type, {kind}"
 
 
-def _dark(background: str | float, values: NDArray[Any], path: Path) -> tuple[NDArray[np.float64] | float, str]:
-    """Return what to subtract, and what it is in words."""
+def _dark(
+    background: str | float, shape: tuple[int, ...], path: Path, cfa: Cfa | None
+) -> tuple[NDArray[np.float64] | float, str]:
+    """Return what to subtract from an image of this shape, and what it is in words."""
     try:
         level = float(background)
     except ValueError:
@@ -207,62 +224,9 @@ def _dark(background: str | float, values: NDArray[Any], path: Path) -> tuple[ND
         if not np.isfinite(level):
             raise InputError("background", f"got {background}, expected a finite number, or an image")
         return level, f"{level:g}"
-    dark, _ = _channels_first(image)
-    if dark.shape[1:] != values.shape[1:] or len(dark) not in (1, len(values)):
-        dark_size, size = (
-            f"{h} x {w} with {c} channel{'s' if c > 1 else ''}" for c, h, w in (dark.shape, values.shape)
-        )
+    dark = in_colours(read_measured_image(image), cfa, image, "--cfa", judge=False)
+    if dark.shape[1:] != shape[1:] or len(dark) not in (1, shape[0]):
+        dark_size, size = (f"{h} x {w} with {c} channel{'s' if c > 1 else ''}" for c, h, w in (dark.shape, shape))
         wanted = "a dark image of the same camera and size, before crop and binning"
         raise InputError("background", f"{image} is {dark_size}, but {path} is {size}; expected {wanted}")
     return dark.astype(np.float64), str(image)
-
-
-_PITCH_M = 1e-5  # nothing here depends on it: values are scaled to a sum of 1
-
-
-def load_psf_image(
-    path: Path,
-    channels: tuple[str, ...],
-    *,
-    background: str | None = None,
-    crop: str | None = None,
-    binning: int = 1,
-    frame: Frame = "stored",
-) -> PsfStack:
-    """Return the linear image of a PSF as a stack of one plane, infinitely far, with values that add up to 1 on average.
-
-    ``background`` is ``border`` (also None), the median of the cropped image's outer frame; ``none``; counts; or an image of
-    darkness, of the same size before the crop. ``crop`` see `crop_window`: the PSF's origin is the centre of what is left.
-    ``frame`` is the file's; a physical image is rotated.
-
-    Raises:
-        InputError: a file that cannot be read, a crop beyond it, a binning that does not divide it, or no light.
-    """
-    image = read_measurement(path, channels)
-    window = (slice(None), slice(None)) if crop is None else crop_window(crop, path, image.shape[-2:], "psf-crop")
-    cut = image[(slice(None), *window)]
-    check_binning(binning, path, cut.shape, "--psf-crop")
-    level = _level(background)
-    options: dict[str, Any] = {"frame": frame, "binning": binning, "channels": channels}
-    options["throughput_m2"] = _PITCH_M**2
-    if crop is None:
-        return load_measured_psf([path], [np.inf], _PITCH_M, background=level, **options)
-    with TemporaryDirectory() as folder:
-        np.save(place := Path(folder, "psf.npy"), cut)
-        told = {"background": background} if isinstance(level, Path) else {}
-        if isinstance(level, Path):
-            dark = read_measurement(level, channels)
-            dark_window = crop_window(crop, level, dark.shape[-2:], "psf-crop")
-            np.save(level := Path(folder, "dark.npy"), dark[(slice(None), *dark_window)])
-        stack = load_measured_psf([place], [np.inf], _PITCH_M, background=level, **options)
-    images = [record | {"file": path.name} for record in stack.provenance["images"]]
-    return replace(stack, provenance={**stack.provenance, **told, "images": images, "crop": crop})
-
-
-def _level(background: str | None) -> Background:
-    if background in (None, "border", "none"):
-        return "none" if background == "none" else "border"
-    try:
-        return float(background)
-    except ValueError:
-        return Path(background)

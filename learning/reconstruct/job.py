@@ -23,8 +23,8 @@ from learning.method import Clock, Method, Progress, choose_device, linear_to_sr
 from learning.models.activitynet import ActivityMethod
 from learning.models.flatnet import LearnedMethod
 from learning.provenance import is_own_folder
-from learning.reconstruct.choice import Request, choose_method
-from learning.reconstruct.inputs import Frame, Measurement, load_measurement
+from learning.reconstruct.choice import choose_method
+from learning.reconstruct.inputs import Frame, Measurement, Mirror, Request, load_measurement
 from learning.reconstruct.orientation import check_frame_fits
 from simulator import __version__
 from simulator.arrays import to_numpy
@@ -56,7 +56,7 @@ class Options(Request):
     volume: bool = False
     bits: int | None = None
     background: str | None = None
-    crop: str | None = None
+    mirror: Mirror = "none"
     frame: Frame | None = None
     accept_frame: bool = False
     white: float | None = None
@@ -77,7 +77,9 @@ def reconstruct_file(options: Options, *, progress: Progress = lambda *_: None) 
         if value is not None and not (math.isfinite(value) and value > 0):
             raise InputError(option, f"got {value}, expected a positive {what}")
     device = choose_device(options.device)
-    of_file = {name: getattr(options, name) for name in ("bits", "background", "crop", "binning", "frame")}
+    of_file = {
+        name: getattr(options, name) for name in ("bits", "background", "cfa", "crop", "binning", "mirror", "frame")
+    }
     measurement = load_measurement(options.measurement, **of_file)
     # The FFT has a period up to twice as long per axis.
     with threads_for(4 * measurement.values.size):
@@ -153,8 +155,9 @@ def _report(measurement: Measurement, name: str, record: dict[str, Any], result:
     if result.image.ndim == 4:
         size = f"{len(result.image)} frames of {size}"
     frame = "rotated by 180 degrees" if measurement.frame == "physical" else "in the stored frame"
+    taken = [frame, *measurement.record.get("notes", ()), scale]
     lines = {
-        "measurement": f"{rows} x {columns}, {', '.join(measurement.channels)}; {frame}; {scale}",
+        "measurement": f"{rows} x {columns}, {', '.join(measurement.channels)}; {'; '.join(taken)}",
         "method": f"{name} ({how})",
         "camera": record["camera"]["numbers_from"],
         "PSFs": record["camera"]["psfs"],

@@ -313,17 +313,17 @@ def in_colours(
     return image.values
 
 
-_BLOCK = 16  # of the 2 x 2, each way
+_BLOCK = 8  # of the 2 x 2, each way
 _BLOCKS, _LIT = 16, 0.05  # fewer blocks that are as bright as this share of the brightest say nothing
-_CLEAR_MOSAIC = 0.04  # of the light; columns that are read by two converters differ by less
+_APART = 0.02  # rms, of the light; columns that are read by two converters differ by less
 _AGREE = 0.9
 
 
 def looks_like_a_mosaic(image: NDArray[Any]) -> bool:
     """Return whether a grey image ``(1, H, W)`` seems to be the mosaic of a colour sensor.
 
-    The four places of its 2 x 2 pixels then differ in brightness in the same way all over the image, where a grey sensor's
-    differ by noise and detail; colourless light seen through a mosaic with equal response looks grey, and is.
+    The four places of its 2 x 2 pixels then differ in brightness in much the same way all over the image, where a grey
+    sensor's differ by noise and detail; light to which a mosaic's colours respond alike looks grey, and is.
     """
     rows, columns = (size // (2 * _BLOCK) for size in image.shape[-2:])
     if rows * columns < _BLOCKS:
@@ -337,6 +337,5 @@ def looks_like_a_mosaic(image: NDArray[Any]) -> bool:
     if np.count_nonzero(lit) < _BLOCKS:
         return False
     differences = (places[:, lit] - light[lit]) / light[lit]
-    brightest, darkest = np.argsort(differences.mean(axis=1))[[-1, 0]]
-    apart = differences[brightest] - differences[darkest]
-    return bool(np.median(apart) > _CLEAR_MOSAIC and np.mean(apart > 0) > _AGREE)
+    usual = differences.mean(axis=1)
+    return bool(np.sqrt(np.mean(usual**2)) > _APART and np.mean(usual @ differences > 0) > _AGREE)

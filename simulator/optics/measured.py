@@ -232,6 +232,7 @@ def _clean(
     negative, total = -np.minimum(light, 0).sum(axis=(-2, -1)), np.abs(light).sum(axis=(-2, -1))
     record = {
         "file": name,
+        "shape": list(image.shape[-2:]),
         "background": levels.tolist(),
         "negative_share": np.divide(negative, total, out=np.zeros_like(total), where=total > 0).tolist(),
         "cropped_px": [n % binning for n in image.shape[-2:]],

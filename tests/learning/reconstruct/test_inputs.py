@@ -112,7 +112,7 @@ def test_a_sample_is_read_by_its_folder_or_its_file_and_knows_its_data_set(tiny_
     ("suffix", "values", "options", "message"),
     [
         (".npy", np.full((4, 4), np.nan), {}, r"m\.npy: "),
-        (".npy", np.ones((2, 4, 4)), {}, r"m\.npy: "),
+        (".npy", np.ones((2, 4, 5)), {}, r"m\.npy: "),
         (".npy", np.ones((4, 4), np.int32), {}, r"m\.npy: "),
         (".npy", np.ones((4, 4), complex), {}, r"m\.npy: "),
         (".tif", np.full((1, 4, 4), 4096, np.uint16), {"bits": 12}, r"m\.tif: "),

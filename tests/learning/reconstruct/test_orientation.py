@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -46,21 +47,29 @@ def captured(scene: NDArray[np.float64], psf: NDArray[np.floating], noise_db: fl
     return light / light.max() + 0.05 + noise
 
 
+def flipped(image: NDArray[Any], flips: tuple[bool, bool]) -> NDArray[Any]:
+    return np.flip(image, [axis for axis, flip in zip((-2, -1), flips, strict=True) if flip])
+
+
 @pytest.mark.parametrize("kind", ["boxes", "points"])
 @pytest.mark.parametrize("design", ["amplitude_image", "diffusercam", "flatcam", "phlatcam", "random_lenslets"])
 def test_the_frame_is_clear_from_the_capture_alone(design: str, kind: str) -> None:
     stack = load_pinned(design)
     capture = plain_capture(stack, SENSOR)
     light = np.stack([captured(drawn(kind), plane, 40) for plane in np.asarray(stack.values)[1]])
-    assert frame_evidence(light, capture) > CLEAR
-    assert frame_evidence(light[:, ::-1, ::-1], capture) < -CLEAR
+    for flips in product((False, True), repeat=2):
+        evidence = frame_evidence(flipped(light, flips), capture)
+        assert max(evidence, key=lambda each: evidence[each]) == flips  # which flips it back
+        assert all(evidence[flips] - gain > CLEAR for each, gain in evidence.items() if each != flips)
 
 
 @pytest.mark.parametrize("design", ["fresnel_zone", "pinhole", "spiral", "vortex"])
 def test_psfs_that_look_the_same_rotated_say_nothing(design: str) -> None:
     stack = load_pinned(design)
     light = np.stack([captured(drawn("boxes"), plane, 40) for plane in np.asarray(stack.values)[1]])
-    assert abs(frame_evidence(light, plain_capture(stack, SENSOR))) < CLEAR
+    evidence = frame_evidence(light, plain_capture(stack, SENSOR))
+    assert abs(evidence[True, True]) < CLEAR
+    assert max(evidence.values()) < CLEAR  # a vortex's are not the same mirrored
 
 
 @pytest.mark.parametrize("size", [383, 384, 400])
@@ -74,8 +83,8 @@ def test_a_large_sensor_is_judged_at_low_resolution(size: int) -> None:
     light[0, 40 : 40 + full.shape[0], 40 : 40 + full.shape[1]] = full
     stack = PsfStack(psf[None, None], np.array([np.inf]), 1e-5, ("Y",), "0" * 64)
     capture = plain_capture(stack, (size, size))
-    assert frame_evidence(light, capture) > CLEAR
-    assert frame_evidence(light[:, ::-1, ::-1], capture) < -CLEAR
+    assert sorted(frame_evidence(light, capture).values())[-2] < -CLEAR
+    assert frame_evidence(light[:, ::-1, ::-1], capture)[True, True] > CLEAR
 
 
 @pytest.mark.shared
@@ -85,8 +94,9 @@ def test_the_diffuser_cameras_hand_is_clear(shared_data: Path) -> None:
     psf, raw = (tifffile.imread(folder / name).reshape(300, 4, 400, 4).mean(axis=(1, 3)) for name in names)
     stack = PsfStack((psf - 31).clip(0)[None, None], np.array([np.inf]), 1e-5, ("Y",), "0" * 64)
     capture = plain_capture(stack, (300, 400))
-    assert frame_evidence(raw[None], capture) > 10 * CLEAR
-    assert frame_evidence(raw[None, ::-1, ::-1], capture) < -10 * CLEAR
+    for flips in product((False, True), repeat=2):
+        evidence = frame_evidence(flipped(raw[None], flips), capture)
+        assert all(evidence[flips] - gain > 10 * CLEAR for each, gain in evidence.items() if each != flips)
 
 
 class Physical:
@@ -142,6 +152,23 @@ def test_other_frames_are_refused(physical: Physical, stack: str, options: dict[
     assert not (physical.folder / "out").exists()
 
 
+@pytest.mark.parametrize("mirror", ["left-right", "up-down"])
+@pytest.mark.parametrize("frame", ["physical", "stored"])
+def test_a_mirrored_capture_is_refused_with_the_options_that_mend_it(
+    physical: Physical, mirror: str, frame: str
+) -> None:
+    raw = tifffile.imread(physical.folder / "raw.tif")
+    raw = raw[:, ::-1] if mirror == "left-right" else raw[::-1]
+    tifffile.imwrite(physical.folder / "raw.tif", raw)
+    # A mirror and a rotation make the other mirror.
+    cure = mirror if frame == "physical" else {"left-right": "up-down", "up-down": "left-right"}[mirror]
+    with pytest.raises(InputError, match=rf"^--frame: .*give --mirror {cure};"):
+        physical.likeness("stack", frame=frame)
+    assert physical.likeness("stack", frame=frame, mirror=cure) > 0.9
+    with pytest.raises(InputError, match=rf"^--frame: .*give --frame {frame}"):
+        physical.likeness("stack", frame="stored" if frame == "physical" else "physical", mirror=cure)
+
+
 def test_who_knows_better_goes_on(physical: Physical) -> None:
     assert physical.likeness("stack", frame="stored", accept_frame=True) < 0.5
 
@@ -163,7 +190,7 @@ def test_samples_and_their_files_say_their_frame_themselves(tiny_dataset: Path, 
 
 
 def test_an_empty_capture_says_nothing(tiny_capture: Any) -> None:
-    assert frame_evidence(np.ones((3, 48, 48)), tiny_capture) == 0
+    assert set(frame_evidence(np.ones((3, 48, 48)), tiny_capture).values()) == {0}
 
 
 def test_a_network_is_given_stored_images_too(tiny_dataset: Path, checkpoints: list[Path], tmp_path: Path) -> None:
