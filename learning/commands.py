@@ -157,16 +157,33 @@ Network = Option(help="a trained network: file, or name of a shipped one; defaul
 Stack = Option(help="its PSFs: folder of a stack or data set, image of one PSF; a sample's own: nominal, captured")
 Parameter = Option("--set", metavar="KEY=VALUE", help="one of its parameters, e.g. regularisation_lambda=0.01")
 Output = Option(help="folder for the result; default: SPLIT_NAME_METHOD here", show_default=False)
-Bits = Option(help="the sensor's bit depth, where the file's type is wider, e.g. 12 in 16 bit files")
-Background = Option(help="to subtract: a number in the file's units, or a dark frame")
-PsfBackground = Option(help="the same for the image of a PSF; or border (its frame's median), none; default: border")
-How = "physical, as read from the sensor, or stored, rotated by 180 degrees so that a pinhole's image is upright"
-InFrame = Option(help=f"orientation of an image file: {How}; samples record theirs")
-PsfFrame = Option(help="the same for the image of a PSF; default: as the measurement")
-Mosaic = Option(help="colours of a raw mosaic's upper left 2 x 2 pixels (RGGB, BGGR, GRBG, GBRG), or none: it is grey")
-Mirrored = Option(help="how the capture is mirrored against the PSFs: none, left-right, up-down")
-PsfBinning = Option(help="binning of the PSFs where it is another one; of an image default: --binning, of a stack 1")
-Crop = Option(help="ROWSxCOLUMNS about the centre, or ROWSxCOLUMNS+TOP+LEFT, of the file's pixels")
+
+_FILES = "An image's file, in this order"
+Bits = Option(
+    help="the sensor's bit depth, where the file's type is wider, e.g. 12 in 16 bit files", rich_help_panel=_FILES
+)
+Background = Option(help="to subtract: a number in the file's units, or a dark frame", rich_help_panel=_FILES)
+Mosaic = Option(
+    help="colours of a raw mosaic's upper left 2 x 2 pixels (RGGB, BGGR, GRBG, GBRG), of which each becomes a pixel; or "
+    "none: it is grey",
+    rich_help_panel=_FILES,
+)
+Crop = Option(help="ROWSxCOLUMNS about the centre, or ROWSxCOLUMNS+TOP+LEFT", rich_help_panel=_FILES)
+Binning = Option(help="pixels per side that become one, of the image of a PSF too", rich_help_panel=_FILES)
+Mirrored = Option(help="how it is mirrored against the PSFs: none, left-right, up-down", rich_help_panel=_FILES)
+InFrame = Option(
+    help="its orientation: physical, as read from the sensor, or stored, rotated by 180 degrees so that a pinhole's image "
+    "is upright; samples record theirs",
+    rich_help_panel=_FILES,
+)
+_PSF = "The PSFs of a capture from a file"
+PsfBackground = Option(
+    help="as --background; or border (the median of the image's frame), none; default: border", rich_help_panel=_PSF
+)
+PsfCrop = Option(help="as --crop; the centre of what is left is the PSF's origin", rich_help_panel=_PSF)
+PsfBinning = Option(help="another binning; default: --binning for an image, 1 for a stack", rich_help_panel=_PSF)
+PsfFrame = Option(help="as --frame; default: the same", rich_help_panel=_PSF)
+Accept = Option("--accept-frame", help="proceed even if the frames seem mixed up", rich_help_panel=_PSF)
 Classical = (
     "a classical method: cls, admm or pnp; of clips joint, joint3d, fista, pnp_clips, static, slivers, udn or nstm"
 )
@@ -186,15 +203,15 @@ def reconstruct(
     bits: Annotated[int | None, Bits] = None,
     background: Annotated[str | None, Background] = None,
     cfa: Annotated[str | None, Mosaic] = None,
-    psf_background: Annotated[str | None, PsfBackground] = None,
-    psf_crop: Annotated[str | None, Option(help="the same as --crop for the image of a PSF")] = None,
     crop: Annotated[str | None, Crop] = None,
+    binning: Annotated[int, Binning] = 1,
     mirror: Annotated[str, Mirrored] = "none",
     frame: Annotated[str | None, InFrame] = None,
-    psf_frame: Annotated[str | None, PsfFrame] = None,
-    accept_frame: Annotated[bool, Option("--accept-frame", help="proceed even if the frames seem mixed up")] = False,
-    binning: Annotated[int, Option(help="binning factor per side, also applied to the PSF's image")] = 1,
+    psf_background: Annotated[str | None, PsfBackground] = None,
+    psf_crop: Annotated[str | None, PsfCrop] = None,
     psf_binning: Annotated[int | None, PsfBinning] = None,
+    psf_frame: Annotated[str | None, PsfFrame] = None,
+    accept_frame: Annotated[bool, Accept] = False,
     scene: Annotated[str | None, Scene] = None,
     white: Annotated[float | None, Option(help="radiance shown as white in image.png; default: from the image")] = None,
     seconds: Annotated[
