@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import re
 from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
@@ -186,34 +188,51 @@ def _rising(values: NDArray[np.float64]) -> int:
 
 Intrinsics = Annotated[Pinhole | OpencvFisheye | Scaramuzza, Field(discriminator="type")]
 _MAX_BYTES = 65536
-FILE_NAMES = ("camera_intrinsics.txt", "cam.txt")
+FILE_NAMES = ("camera_intrinsics.txt", "cam.txt", "calib.txt", "intrinsics.txt", "intrinsic.txt")
 
 
 class _File(RootModel[Intrinsics]):
     """A file that holds what ``intrinsics`` would."""
 
 
+@dataclass(frozen=True)
+class Calibration:
+    """What a file says of a camera.
+
+    Attributes:
+        lens: of the camera.
+        baseline_mm: distance to the second camera of a rectified stereo pair, or None.
+        doffs_px: column of the second camera's principal point minus that of the first.
+    """
+
+    lens: Lens
+    baseline_mm: float | None = None
+    doffs_px: float = 0.0
+
+
 def read_intrinsics(path: Path) -> Lens:
+    """Read a camera's lens from a file; see :func:`read_calibration`."""
+    return read_calibration(path).lens
+
+
+def read_calibration(path: Path, second: bool = False) -> Calibration:
     """Read a camera from a file.
 
     Args:
-        path: ``.yaml``, ``.yml`` or ``.json`` with the keys of ``intrinsics``; anything else is text with the nine numbers of
-            the camera matrix row by row, parted by commas or blanks (EndoSLAM's ``camera_intrinsics.txt``, SimCol3D's
-            ``cam.txt``).
+        path: ``.yaml``, ``.yml`` or ``.json`` with the keys of ``intrinsics``; or Middlebury's ``calib.txt``, lines such as
+            ``cam0=[f 0 cx; 0 f cy; 0 0 1]``, ``doffs=131.111`` and ``baseline=193.001`` in mm; anything else is text with the
+            nine numbers of the camera matrix row by row, parted by commas or blanks (EndoSLAM's ``camera_intrinsics.txt``,
+            SimCol3D's ``cam.txt``), the sixteen of a projection of the same, or fx, fy, cx, cy.
+        second: take the second camera of a pair, Middlebury's cam1.
 
     Raises:
         InputError: naming the file, when it cannot be read or describes no camera.
     """
     text = read_text(path, "the numbers of one camera", _MAX_BYTES)
     if path.suffix.lower() not in {".yaml", ".yml", ".json"}:
-        words = re.split(r"[\s,;]+", text.strip())
-        try:
-            numbers = np.array([float(word) for word in words])
-        except ValueError:
-            numbers = np.zeros(0)
-        if numbers.size != 9:
-            raise InputError(path, f"got {text[:60]!r}, expected nine numbers: fx, 0, cx, 0, fy, cy, 0, 0, 1")
-        return pinhole_of(numbers.reshape(3, 3), str(path))
+        if re.search(r"^\s*cam0\s*=", text, re.MULTILINE):
+            return _read_middlebury(path, text, "cam1" if second else "cam0")
+        return Calibration(_pinhole_of_numbers(_numbers(text), path, text))
     import yaml
 
     try:
@@ -221,16 +240,50 @@ def read_intrinsics(path: Path) -> Lens:
     except yaml.YAMLError as error:
         raise InputError(path, f"not valid YAML: {' '.join(str(error).split())}") from error
     try:
-        return validate(_File, data).root
+        return Calibration(validate(_File, data).root)
     except ValidationError as error:
         problems = "; ".join(map(str, find_problems(error, _File, data)))
         raise InputError(path, problems) from error
 
 
-def nearest_file(root: Path, folder: Path) -> Path | None:
-    """Return the file with intrinsics in a folder, or in those above it up to the root."""
+def _read_middlebury(path: Path, text: str, camera: str) -> Calibration:
+    """Read lines ``name=value``."""
+    values = {name.strip(): value for name, _, value in (line.partition("=") for line in text.splitlines())}
+    lens = _pinhole_of_numbers(_numbers(values.get(camera, "").strip(" []")), path, f"{camera}={values.get(camera)}")
+    found: dict[str, float] = {}
+    for name in ("baseline", "doffs"):
+        numbers = _numbers(values.get(name, ""))
+        if numbers.size != 1 or not np.isfinite(numbers[0]):
+            raise InputError(
+                path, f"got {name}={values.get(name, '')}, expected a line {name}= with one number: fetch it again"
+            )
+        found[name] = float(numbers[0])
+    return Calibration(lens, found["baseline"], found["doffs"])
+
+
+def _numbers(text: str) -> NDArray[np.float64]:
+    """The numbers in a text, parted by commas, semicolons or blanks; none where it holds a word."""
+    try:
+        return np.array([float(word) for word in re.split(r"[\s,;]+", text.strip())])
+    except ValueError:
+        return np.zeros(0)
+
+
+def _pinhole_of_numbers(numbers: NDArray[np.float64], path: Path, text: str) -> Pinhole:
+    if numbers.size == 4:
+        fx, fy, cx, cy = numbers.tolist()
+        numbers = np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1])
+    elif numbers.size == 16:  # of homogeneous points
+        numbers = numbers.reshape(4, 4)[:3, :3].reshape(-1)
+    if numbers.size != 9:
+        raise InputError(path, f"got {text[:60]!r}, expected nine numbers: fx, 0, cx, 0, fy, cy, 0, 0, 1")
+    return pinhole_of(numbers.reshape(3, 3), str(path))
+
+
+def nearest_file(root: Path, folder: Path, names: Sequence[str] = FILE_NAMES) -> Path | None:
+    """Return the file with intrinsics, of one of these names, in a folder, or in those above it up to the root."""
     for place in (folder, *folder.parents):
-        for name in FILE_NAMES:
+        for name in names:
             if (place / name).is_file():
                 return place / name
         if place == root:

@@ -1,4 +1,4 @@
-"""Depth charts as integers: what their codes mean in metres, how often each occurs, and depths beyond the limit.
+"""Depth charts as integers: how often each code occurs; and depths beyond the limit.
 
 A clip that has no other depths is refused, one that mostly has such is warned of.
 """
@@ -6,18 +6,15 @@ A clip that has no other depths is refused, one that mostly has such is warned o
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
+from simulator.importers.depth_coding import DepthAlong, RangeDepth
+from simulator.importers.depth_files import one_channel
 from simulator.io.images import read_image
-
-DepthCode: TypeAlias = Literal["linear", "inverse"]
-DepthAlong: TypeAlias = Literal["axis", "ray"]
 
 
 def read_codes(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
@@ -29,60 +26,10 @@ def read_codes(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
     Raises:
         InputError: naming the file, when it is broken, is zero everywhere, or its channels differ.
     """
-    codes = read_image(path)
-    if codes.ndim == 3:
-        if not np.array_equal(codes[..., 0], codes[..., 1]) or not np.array_equal(codes[..., 0], codes[..., 2]):
-            raise InputError(path, "it has coloured pixels; expected a depth chart in grey, with red = green = blue")
-        codes = codes[..., 0]
+    codes = one_channel(read_image(path), path)
     if not codes.any():
         raise InputError(path, "it is zero everywhere, so it says nothing about depth: leave this frame out")
     return codes
-
-
-@dataclass(frozen=True)
-class DepthDecoding:
-    """Depth is affine in the code, or one over depth is.
-
-    ``linear``: z = z0 + c (z1 - z0); ``inverse``: 1/z = 1/z0 + c (1/z1 - 1/z0), with c = code / ``full_code``. A graphics
-    card's reversed depth buffer is the latter, with z1 its near and z0 its far plane.
-
-    Attributes:
-        code: what is affine.
-        full_m: z1, metres at the full code.
-        zero_m: z0, metres at code zero; None is 0 for ``linear`` and infinity for ``inverse``, where zero means no depth.
-        full_code: the full code; None is the largest number of the file's type, 255 or 65535.
-    """
-
-    code: DepthCode
-    full_m: float
-    zero_m: float | None
-    full_code: int | None
-
-    @classmethod
-    def of_cm(cls, code: DepthCode, full_cm: float, zero_cm: float | None, full_code: int | None) -> DepthDecoding:
-        """Return the decoding of a configuration's centimetres."""
-        return cls(code, full_cm * 1e-2, None if zero_cm is None else zero_cm * 1e-2, full_code)
-
-    def depth_m(self, codes: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.float64]:
-        """Return metres, same shape; infinite where the chart gives no depth."""
-        share = codes / np.float64(self.full_code or np.iinfo(codes.dtype).max)
-        with np.errstate(divide="ignore"):
-            if self.code == "linear":
-                zero_m = self.zero_m or 0.0
-                depth = zero_m + share * (self.full_m - zero_m)
-            else:
-                inverse_zero = 0.0 if self.zero_m is None else 1 / self.zero_m
-                depth = 1 / (inverse_zero + share * (1 / self.full_m - inverse_zero))
-        return np.where(depth > 0, depth, np.inf)
-
-    def record(self) -> dict[str, Any]:
-        """The decoding in numbers."""
-        return {
-            "depth_code": self.code,
-            "depth_scale_cm": self.full_m * 100,
-            "depth_at_zero_cm": None if self.zero_m is None else self.zero_m * 100,
-            "depth_full_code": self.full_code,
-        }
 
 
 MOSTLY = 0.5
@@ -91,28 +38,37 @@ MOSTLY = 0.5
 _WARNED: set[Path] = set()  # data sets that were warned of: once for each, not for every clip
 
 
-def check_depths(root: Path, chart: Path, seen_m: NDArray[np.float64], decoding: DepthDecoding, max_m: float) -> None:
+def check_depths(
+    root: Path, chart: Path, seen_m: NDArray[np.float64], beyond: NDArray[np.bool_], limit: str, cure: str
+) -> None:
     """Refuse a clip without any valid depth, and warn, once for each data set, of one that mostly lies beyond the limit.
 
-    ``seen_m``: metres of the clip's pixels that are seen, any shape; infinite where there is no depth.
+    Args:
+        root: the data set.
+        chart: the clip's first depth chart.
+        seen_m: metres of the clip's pixels that are seen, any shape; infinite where there is no depth.
+        beyond: where they lie beyond the limit.
+        limit: the parameter that sets it, with its value.
+        cure: which parameters to check.
 
     Raises:
-        InputError: naming the chart, when no depth is at most ``max_m``.
+        InputError: naming the chart, when there is no depth within the limit.
     """
     known_m = seen_m[np.isfinite(seen_m)]
     if known_m.size == 0:
-        raise InputError(root / chart, "no depth where its image is seen: check border and field, or leave it out")
-    beyond = float((known_m > max_m).sum() / seen_m.size)
-    if beyond <= MOSTLY and known_m.min() <= max_m:
+        raise InputError(root / chart, f"no depth where its image is seen: {cure}, or leave it out")
+    nowhere = int(beyond.sum()) == known_m.size
+    if beyond.mean() <= MOSTLY and not nowhere:
         return
-    depths = f"depths of {known_m.min() * 100:.4g} to {known_m.max() * 100:.4g} cm, with max_cm {max_m * 100:g}"
-    cure = f"check depth_scale_cm ({decoding.full_m * 100:g}) and depth_code ({decoding.code}), or raise max_cm"
-    if known_m.min() > max_m:
-        raise InputError(root / chart, f"the first of a clip in which no pixel is valid ({depths}): {cure}")
+    depths = f"depths of {known_m.min() * 100:.4g} to {known_m.max() * 100:.4g} cm, with {limit}): {cure}"
+    if nowhere:
+        raise InputError(root / chart, f"the first of a clip in which no pixel is valid ({depths}")
     if root not in _WARNED:
         _WARNED.add(root)
-        text = f"{root / chart} is the first of a clip in which {beyond:.0%} of the pixels are not valid ({depths})"
-        warnings.warn(f"{text}; others of this data set may be alike: {cure}", stacklevel=3)
+        text = (
+            f"{root / chart} is the first of a clip in which {beyond.mean():.0%} of the pixels are not valid ({depths}"
+        )
+        warnings.warn(f"{text}; others of this data set may be alike", stacklevel=4)
 
 
 class DepthCounts:
@@ -122,7 +78,7 @@ class DepthCounts:
         all_beyond: the reason why a chart that lies beyond the limit everywhere cannot be used.
     """
 
-    def __init__(self, decoding: DepthDecoding | None, max_m: float, along: DepthAlong) -> None:
+    def __init__(self, decoding: RangeDepth | None, max_m: float, along: DepthAlong) -> None:
         """Begin with no chart.
 
         ``along``: whether charts hold depths or distances along rays, which may lie beyond the limit while depths do not.

@@ -25,12 +25,16 @@ class Pair:
         depth: file, relative to the data set's root.
         sequence: what the sequence is called.
         number: the frame's number in its sequence.
+        mask: file that is black where the depth is unknown, or None.
+        label: of what is done in its sequence, or None.
     """
 
     image: Path
     depth: Path
     sequence: str
     number: int
+    mask: Path | None = None
+    label: str | None = None
 
 
 @dataclass(frozen=True)
@@ -63,8 +67,8 @@ class DepthClips:
 
     @property
     def inputs(self) -> list[Path]:
-        """All images and depths: which of them a data set uses depends on its size only."""
-        return [self.root / file for pair in self.pairs for file in (pair.image, pair.depth)]
+        """All images, depths and masks: which of them a data set uses depends on its size only."""
+        return [self.root / file for pair in self.pairs for file in (pair.image, pair.depth, pair.mask) if file]
 
     @property
     def frame_edges_s(self) -> NDArray[np.float64]:

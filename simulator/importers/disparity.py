@@ -36,11 +36,11 @@ def read_pfm(path: Path) -> NDArray[np.float32]:
     The scale's sign gives the byte order; its magnitude, a display hint, is not applied.
 
     Returns:
-        float32 ``(H, W)`` for ``Pf`` or ``(H, W, 3)`` for ``PF``, row 0 at the top, all finite.
+        float32 ``(H, W)`` for ``Pf`` or ``(H, W, 3)`` for ``PF``, row 0 at the top; inf and NaN, which stand for unknown in
+        Middlebury's files, as they are.
 
     Raises:
-        InputError: naming the file, when it is missing, not a PFM file, has a bad header, the wrong length or non-finite
-            values.
+        InputError: naming the file, when it is missing, not a PFM file, has a bad header or the wrong length.
     """
     with read_errors(path), path.open("rb") as file:
         (height, width, channels, order), start = _parse_header(file.read(_HEADER_BYTES), path)
@@ -53,9 +53,6 @@ def read_pfm(path: Path) -> NDArray[np.float32]:
         file.seek(start)
         data = file.read(expected)
     values = np.frombuffer(data, dtype=f"{order}f4").astype(np.float32).reshape(height, width, channels)
-    if not np.all(np.isfinite(values)):
-        bad = int(np.count_nonzero(~np.isfinite(values)))
-        raise InputError(path, f"holds {bad} non-finite values: leave this frame out")
     upright = np.ascontiguousarray(values[::-1])
     return upright[..., 0] if channels == 1 else upright
 
@@ -84,11 +81,14 @@ def read_disparity(path: Path) -> NDArray[np.float32]:
         Pixels, ``(H, W)``, row 0 at the top; zero where no surface is seen.
 
     Raises:
-        InputError: naming the file, when it is broken, has three channels or mixes both signs.
+        InputError: naming the file, when it is broken, has three channels, non-finite values, which these data sets do not
+            have, or mixes both signs.
     """
     disparity = read_pfm(path)
     if disparity.ndim != 2:
         raise InputError(path, "has three channels ('PF'); expected a disparity map with one ('Pf')")
+    if bad := int(np.count_nonzero(~np.isfinite(disparity))):
+        raise InputError(path, f"holds {bad} non-finite values: leave this frame out, or read it by source: rgb_depth")
     if disparity.min() < 0 < disparity.max():
         raise InputError(path, f"mixes both signs ({disparity.min():g}..{disparity.max():g} px): expected one")
     return np.abs(disparity)

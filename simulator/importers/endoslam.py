@@ -18,16 +18,18 @@ from pydantic import Field
 
 from simulator.colour import decode_srgb_image
 from simulator.errors import InputError
-from simulator.importers.camera_models import Intrinsics, Lens, Pinhole, nearest_file, read_intrinsics
-from simulator.importers.depth_codes import DepthAlong, DepthCode, DepthCounts, DepthDecoding, check_depths, read_codes
+from simulator.importers.camera_models import Intrinsics, Lens, nearest_file, read_intrinsics
+from simulator.importers.depth_codes import DepthCounts, read_codes
+from simulator.importers.depth_coding import DepthAlong, DepthCode, RangeDepth
 from simulator.importers.depth_pairs import list_pairs, recognises
-from simulator.importers.depth_sequences import DepthClips, Pair, check_rate, find_runs, read_pairs
+from simulator.importers.depth_sequences import Pair, check_rate, find_runs, read_pairs
 from simulator.importers.inspection import Progress, Survey
 from simulator.importers.listing import grouped
-from simulator.importers.undistortion import Circle, Lookup, build_lookup, find_circle
+from simulator.importers.undistorted_clips import UndistortedClips, clip_files
+from simulator.importers.undistortion import Circle, Lookup, find_circle
 from simulator.importers.videos import Count, Positive
 from simulator.io.images import image_shape, read_image
-from simulator.types import Clip, View
+from simulator.types import View
 
 __all__ = ["EndoSlam", "endoslam", "recognises", "survey"]
 
@@ -120,9 +122,11 @@ def endoslam(
         length=frames,
         frames_per_second=frames_per_second,
         problems=grouped(faults) + short,
-        decoding=DepthDecoding.of_cm(depth_code, depth_scale_cm, depth_at_zero_cm, depth_full_code),
+        decoding=RangeDepth(
+            type=depth_code, full_cm=depth_scale_cm, zero_cm=depth_at_zero_cm, full_code=depth_full_code
+        ),
         along=depth_along,
-        max_m=max_cm * 1e-2,
+        range_m=(0.0, max_cm * 1e-2),
         lens=known,
         shape=shape,
         field=field,
@@ -132,27 +136,19 @@ def endoslam(
 
 
 @dataclass(frozen=True)
-class EndoSlam(DepthClips):
-    """A scene source made by :func:`endoslam`; the first attributes are those of :class:`DepthClips`.
+class EndoSlam(UndistortedClips):
+    """A scene source made by :func:`endoslam`; the first attributes are those of :class:`UndistortedClips`.
 
     Attributes:
         decoding: what the codes mean.
-        along: whether charts hold z or distances along rays.
-        max_m: deepest valid depth, metres.
         lens: the images' camera, or None.
         shape: rows and columns of all images.
-        field: ``fill`` or ``angles``.
-        circle: what the lens fills of the image, or None.
         intrinsics_file: where the camera came from, or None.
     """
 
-    decoding: DepthDecoding
-    along: DepthAlong
-    max_m: float
+    decoding: RangeDepth
     lens: Lens | None
     shape: tuple[int, int]
-    field: Literal["fill", "angles"]
-    circle: Circle | None
     intrinsics_file: Path | None
 
     @property
@@ -160,34 +156,36 @@ class EndoSlam(DepthClips):
         """All images and depth charts, and the file with intrinsics."""
         return [*super().inputs, *([] if self.intrinsics_file is None else [self.intrinsics_file])]
 
-    def clip(self, index: int, rng: np.random.Generator) -> Clip:
-        """Return clip ``index`` (modulo their number); nothing is left to chance.
+    def read(self, pair: Pair) -> tuple[NDArray[np.float32], NDArray[np.float64], Lens | None]:
+        """Read an image and its depth chart.
 
         Raises:
-            InputError: naming the file, when it is broken or of another size than the others; and when the clip has no
-                pixel with a depth of at most ``max_cm``.
+            InputError: naming the file, when it is broken or of another size than the others.
         """
-        del rng
-        pairs = self.pairs_of(index)
-        lookup = build_lookup(self._lens(), self.shape, self.view, self.field, self.circle)
-        rgb = np.empty((self.length, *self.view.shape, 3), np.float32)
-        depth = np.empty((self.length, *self.view.shape))
-        for t, pair in enumerate(pairs):
-            rgb[t] = lookup.colour(decode_srgb_image(self._read(pair.image, read_image, 3)))
-            codes = self._read(pair.depth, read_codes, 2)
-            depth[t] = self.decoding.depth_m(codes.reshape(-1)[lookup.nearest])
-            if self.along == "ray":
-                depth[t] *= lookup.cosine
-        none, beyond = np.isinf(depth) & lookup.seen, np.isfinite(depth) & (depth > self.max_m) & lookup.seen
-        valid = lookup.seen & ~none & ~beyond
-        check_depths(self.root, pairs[0].depth, depth[:, lookup.seen], self.decoding, self.max_m)
-        shares = {
-            "unseen_share": 1 - float(lookup.seen.mean()),
-            "without_depth_share": float(none.mean()),
-            "beyond_max_share": float(beyond.mean()),
+        light = decode_srgb_image(self._read(pair.image, read_image, 3))
+        return light, self.decoding.depth_m(self._read(pair.depth, read_codes, 2)), self.lens
+
+    @property
+    def limits(self) -> tuple[str, str]:
+        """The parameter that limits depths, and those that decide them."""
+        cure = (
+            f"check depth_scale_cm ({self.decoding.full_cm:g}) and depth_code ({self.decoding.type}), or raise max_cm"
+        )
+        return f"max_cm {self.range_m[1] * 100:g}", cure
+
+    def record(self, pairs: tuple[Pair, ...], lookup: Lookup) -> dict[str, Any]:
+        """Return where a clip comes from and how it was read."""
+        return {
+            "importer": "endoslam",
+            **clip_files(pairs),
+            **self.decoding.record(),
+            "depth_along": self.along,
+            "max_cm": self.range_m[1] * 100,
+            "intrinsics": None if self.lens is None else self.lens.model_dump(mode="json"),
+            "field": self.field,
+            "field_scale": None if self.lens is None else lookup.scale,
+            "image_circle_px": None if self.circle is None else list(self.circle),
         }
-        metres = np.where(valid, depth, self.view.far_m).astype(np.float32)
-        return Clip(rgb, metres, valid, self.frame_edges_s, source=self._record(pairs, lookup) | shares)
 
     def _read(self, name: Path, reader: Any, dimensions: int) -> NDArray[Any]:
         image = reader(self.root / name)
@@ -199,31 +197,6 @@ class EndoSlam(DepthClips):
                 f"got {what}; expected a {kind} of {self.shape[0]} x {self.shape[1]}, like {self.pairs[0].image}",
             )
         return image
-
-    def _lens(self) -> Lens:
-        """The camera; where none is known any pinhole does, since ``fill`` finds the focal length."""
-        if self.lens is not None:
-            return self.lens
-        centre = self.circle[:2] if self.circle else ((self.shape[1] - 1) / 2, (self.shape[0] - 1) / 2)
-        side = float(max(self.shape))
-        return Pinhole(fx=side, fy=side, cx=centre[0], cy=centre[1])
-
-    def _record(self, pairs: tuple[Pair, ...], lookup: Lookup) -> dict[str, Any]:
-        ends = pairs[:1] + pairs[1:][-1:]
-        return {
-            "importer": "endoslam",
-            "sequence": ends[0].sequence,
-            "frames": len(pairs),
-            "pictures": [pair.image.as_posix() for pair in ends],
-            "depths": [pair.depth.as_posix() for pair in ends],
-            **self.decoding.record(),
-            "depth_along": self.along,
-            "max_cm": self.max_m * 100,
-            "intrinsics": None if self.lens is None else self.lens.model_dump(mode="json"),
-            "field": self.field,
-            "field_scale": None if self.lens is None else lookup.scale,
-            "image_circle_px": None if self.circle is None else list(self.circle),
-        }
 
 
 def _first_shape(root: Path, pairs: tuple[Pair, ...]) -> tuple[int, int]:
@@ -274,7 +247,9 @@ def survey(
         if depth_scale_cm is None or depth_code is None:
             missing = "depth_scale_cm" if depth_scale_cm is None else "depth_code"
             raise InputError(missing, "missing: give both depth_scale_cm and depth_code, or neither")
-        decoding = DepthDecoding.of_cm(depth_code, depth_scale_cm, depth_at_zero_cm, depth_full_code)
+        decoding = RangeDepth(
+            type=depth_code, full_cm=depth_scale_cm, zero_cm=depth_at_zero_cm, full_code=depth_full_code
+        )
     root = Path(path)
     pairs, unpaired = list_pairs(root)
     counts = DepthCounts(decoding, max_cm * 1e-2, depth_along)

@@ -110,7 +110,7 @@ def write_exr(path: Path | str, channels: Mapping[str, NDArray[np.float32]], met
 
 
 def read_exr(
-    path: Path | str, *, max_pixels: int = MAX_VALUES, require_checksums: bool = False
+    path: Path | str, *, max_pixels: int = MAX_VALUES, require_checksums: bool = False, finite: bool = True
 ) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
     """Read every channel of a single-part OpenEXR file; half floats of other programs become float32 exactly.
 
@@ -118,21 +118,22 @@ def read_exr(
         path: the file.
         max_pixels: largest rows x columns x channels that may be decoded: a tiny file can claim terabytes.
         require_checksums: refuse files that ``write_exr`` did not write.
+        finite: refuse NaN and inf; renderers write inf as the depth of what they did not hit.
 
     Returns:
         Writable arrays ``(rows, columns)`` by channel name, and the metadata.
 
     Raises:
-        InputError: missing, truncated, corrupt, too big, not OpenEXR, not single-part, or with NaN or inf.
+        InputError: missing, truncated, corrupt, too big, not OpenEXR, not single-part, or with values that are not finite.
     """
     path = Path(path)
     with read_errors(path):
         data = path.read_bytes()
-    return decode_exr(data, path, max_pixels=max_pixels, require_checksums=require_checksums)
+    return decode_exr(data, path, max_pixels=max_pixels, require_checksums=require_checksums, finite=finite)
 
 
 def decode_exr(
-    data: bytes, path: Place, *, max_pixels: int = MAX_VALUES, require_checksums: bool = False
+    data: bytes, path: Place, *, max_pixels: int = MAX_VALUES, require_checksums: bool = False, finite: bool = True
 ) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
     """Do what ``read_exr`` does on a file's bytes that were read already; ``path`` only names it in errors."""
     import OpenEXR
@@ -156,6 +157,9 @@ def decode_exr(
     if sorted(found) != sorted(header.channels):  # OpenEXR drops what it cannot decode, without raising
         raise _damaged(path, f"channels {list(header.channels)} announced, {list(found)} readable")
     result = {name: _decoded_channel(path, header, name, channel.pixels) for name, channel in found.items()}
+    for name, values in result.items():
+        if finite and not np.isfinite(values).all():
+            raise InputError(path, f"channel {name!r} holds NaN or inf")
     return result, header.metadata
 
 
@@ -255,8 +259,6 @@ def _decoded_channel(path: Place, header: Header, name: str, pixels: NDArray[Any
     values = np.ascontiguousarray(pixels, dtype=np.float32)
     if header.checksums is not None and zlib.crc32(values.data) != header.checksums[name]:
         raise _damaged(path, f"channel {name!r} does not match its checksum")
-    if not np.isfinite(values).all():
-        raise InputError(path, f"channel {name!r} holds NaN or inf")
     return values
 
 

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from simulator.errors import InputError
-from simulator.importers.camera_models import OpencvFisheye, Pinhole, Scaramuzza, pinhole_of, read_intrinsics
+from simulator.importers.camera_models import (
+    OpencvFisheye,
+    Pinhole,
+    Scaramuzza,
+    pinhole_of,
+    read_calibration,
+    read_intrinsics,
+)
 
 # EndoSLAM's own calibrations, MATLAB's numbers (first pixel 1).
 MIRO_PINHOLE = Pinhole(
@@ -86,6 +93,8 @@ def test_files(tmp_path):
     for name, text in {
         "camera_intrinsics.txt": "20,0,7.5,0,20,7.5,0,0,1",
         "cam.txt": "20 0 7.5\n0 20 7.5\n0 0 1\n",
+        "intrinsics.txt": "20 20 7.5 7.5",
+        "intrinsic_color.txt": "20 0 7.5 0\n0 20 7.5 0\n0 0 1 0\n0 0 0 1\n",  # as ScanNet writes it
         "camera.yaml": "type: pinhole\nfx: 20\nfy: 20\ncx: 8.5\ncy: 8.5\nfirst_pixel: 1\n",
     }.items():
         (tmp_path / name).write_text(text)
@@ -102,3 +111,31 @@ def test_files(tmp_path):
             read_intrinsics(tmp_path / name)
     with pytest.raises(InputError, match=r"nowhere\.txt: "):
         read_intrinsics(tmp_path / "nowhere.txt")
+
+
+def test_middlebury_s_calib_txt(tmp_path):
+    """The file of its scene Adirondack-perfect, with numbers of its documentation."""
+    path = tmp_path / "calib.txt"
+    lines = [
+        "cam0=[3997.684 0 1176.728; 0 3997.684 1011.728; 0 0 1]",
+        "cam1=[3997.684 0 1307.839; 0 3997.684 1011.728; 0 0 1]",
+    ]
+    lines += [
+        "doffs=131.111",
+        "baseline=193.001",
+        "width=2964",
+        "height=1988",
+        "ndisp=280",
+        "isint=0",
+        "vmin=31",
+        "vmax=257",
+    ]
+    path.write_text("\n".join(lines))
+    found = read_calibration(path)
+    assert found.lens == Pinhole(fx=3997.684, fy=3997.684, cx=1176.728, cy=1011.728)
+    assert (found.baseline_mm, found.doffs_px) == (193.001, 131.111)
+    assert read_calibration(path, second=True).lens.cx == 1307.839
+    for line, broken in [(3, "baseline="), (3, ""), (2, "doffs=far"), (0, "cam0=[3997.684 0 1176.728]")]:
+        path.write_text("\n".join([*lines[:line], broken, *lines[line + 1 :]]))
+        with pytest.raises(InputError, match=r"calib\.txt: "):
+            read_calibration(path)

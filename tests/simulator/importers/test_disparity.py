@@ -68,13 +68,15 @@ def test_bad_headers_and_lengths_are_named(tmp_path, header):
         read_pfm(path)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_values_that_are_not_finite_and_missing_files_are_refused(tmp_path, bad):
-    values = np.zeros((4, 7), np.float32)
-    values[2, 3] = bad
-    write_pfm(tmp_path / "bad.pfm", values)
-    with pytest.raises(InputError, match=r"bad\.pfm: "):
-        read_pfm(tmp_path / "bad.pfm")
+def test_unknown_values_of_middlebury_are_kept(tmp_path):
+    """Its files hold inf where nothing is known, and a scale other than 1, which is a display hint."""
+    values = np.arange(28, dtype=np.float32).reshape(4, 7)
+    values[2, 3], values[0, 0] = np.inf, np.nan
+    write_pfm(tmp_path / "disp0.pfm", values, -0.003922)
+    np.testing.assert_array_equal(read_pfm(tmp_path / "disp0.pfm"), values)
+
+
+def test_missing_files_are_refused(tmp_path):
     for path in (tmp_path / "none.pfm", tmp_path):
         with pytest.raises(InputError, match=f"^{path}: "):
             read_pfm(path)
