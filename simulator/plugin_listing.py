@@ -14,6 +14,8 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin
 
+from pydantic import BaseModel
+
 from simulator.plugins import Plugin, available, resolve
 from simulator.text import documented
 
@@ -124,6 +126,8 @@ def _expected(annotation: Any, metadata: Iterable[Any] = ()) -> str:
         return " | ".join(_as_yaml(value) for value in get_args(annotation))
     if origin in (tuple, list):
         return _several(get_args(annotation), fixed=origin is tuple)
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel) and "type" in annotation.model_fields:
+        return f"{{type: {_expected(annotation.model_fields['type'].annotation)}, ...}}"
     words = _TYPES.get(annotation, getattr(annotation, "__name__", str(annotation)))
     limits = _limits(metadata)
     return f"{words} {limits}" if limits else words

@@ -11,6 +11,7 @@ import typer
 from simulator.errors import InputError
 
 if TYPE_CHECKING:
+    from simulator.importers import Survey
     from simulator.plugins import Plugin
 
 _EXAMPLE_SIZE = "[128, 128]"
@@ -47,6 +48,7 @@ def import_check(
             for line in candidates.broken:
                 bar.say(f"warning: this source cannot be asked: {line}")
             plugin = choose(check, candidates)
+            print(f"{check} looks like\n{candidates}", flush=True)
         survey = run_survey(plugin, check, options, lambda done, total: bar.update("read", done, total))
     print(survey)
     if not survey.usable:
@@ -55,28 +57,33 @@ def import_check(
         raise InputError(
             survey.path, f"{len(survey.problems)} problems, see above; mend them, or go on with --skip-bad"
         )
-    print(_usage(plugin, check, options, survey.needed))
+    print(_usage(plugin, check, options, survey))
 
 
-def _usage(plugin: Plugin, path: Path, options: dict[str, Any], needed: tuple[str, ...]) -> str:
+def _usage(plugin: Plugin, path: Path, options: dict[str, Any], survey: Survey) -> str:
     """The lines of a configuration that use the folder; what has no default, or is needed, is left open and explained."""
     from simulator.plugin_listing import parameter_lines
 
+    given = dict(survey.found) | options
     required = [
         line
         for line in parameter_lines(plugin)
-        if (line.default == "required" or line.name in needed) and line.name not in ("path", *options)
+        if (line.default == "required" or line.name in survey.needed) and line.name not in ("path", *given)
     ]
     values = {
         "source": plugin.name,
         "path": json.dumps(str(path.resolve()), ensure_ascii=False),
         "size": _EXAMPLE_SIZE,
-        **{name: json.dumps(value, ensure_ascii=False) for name, value in options.items()},
+        **{name: json.dumps(value, ensure_ascii=False) for name, value in given.items()},
         **{line.name: "..." for line in required},
     }
     lines = [
         "use it in sim_config.yaml with",
         f"  scene: {{{', '.join(f'{key}: {value}' for key, value in values.items())}}}",
     ]
-    lines += [f"  where {line.name} is: {line.expected}; {line.meaning}" for line in required]
+    hints = {name: hint for name, hint in survey.hints.items() if name not in options}
+    for line in required:
+        here = f"; {hints.pop(line.name)}" if line.name in hints else ""
+        lines.append(f"  where {line.name} is: {line.expected}; {line.meaning}{here}")
+    lines += [f"  {name}: {hint}" for name, hint in hints.items() if name in given]
     return "\n".join(lines)

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from simulator.errors import InputError
-from simulator.importers.inspection import Progress, Survey
-from simulator.importers.listing import is_folder, list_folder
+from simulator.importers.inspection import Likeness, Progress, Survey
+from simulator.importers.listing import examples, is_folder, list_folder
 from simulator.importers.masked_videos import MaskedVideos, find_videos
 from simulator.importers.videos import ClipPlan, Count, Crop, FlatVideos, InterpolateWith, Positive
 from simulator.types import View
@@ -49,7 +49,7 @@ def davis(
         view: the camera's view: size of the clips, far depth.
         path: the folder that holds JPEGImages and Annotations (or Annotations_unsupervised); or ``images`` and ``masks``
             with a folder per video.
-        frames: frames of a clip, after interpolation; videos have 25 to 104.
+        frames: frames of a clip, after interpolation; the published videos have 25 to 104.
         subset: a list of ImageSets, such as train or val (of 2017 where both years have it), or 2016/val; null takes all.
         resolution: which folder of JPEGImages.
         frames_per_second: rate at which a clip is taken to run; null is the video's own, 24 per second, times interpolate_by.
@@ -73,11 +73,14 @@ def davis(
     return found.source(view, plan)
 
 
-def recognises(path: Path) -> bool:
+def recognises(path: Path) -> Likeness | None:
     """Whether a folder is laid out like DAVIS; looks at names only."""
+    for resolution in get_args(Resolution):
+        if (path / "JPEGImages" / resolution).is_dir():
+            return Likeness("sure", f"has a folder JPEGImages/{resolution}")
     images, masks = (list_folder(path / name)[0] for name in _FLAT)
-    original = any((path / "JPEGImages" / resolution).is_dir() for resolution in get_args(Resolution))
-    return original or bool(set(images) & set(masks))
+    both = sorted(set(images) & set(masks))
+    return Likeness("likely", f"images and masks hold the same videos: {examples(both)}") if both else None
 
 
 def survey(

@@ -15,10 +15,12 @@ from pathlib import Path
 
 from simulator.errors import InputError
 from simulator.importers.depth_sequences import Pair
+from simulator.importers.inspection import Likeness
 from simulator.importers.listing import Fault, is_folder, walk
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"}
 _DEPTH = re.compile(r"depth|aov", re.IGNORECASE)
+_OWN = re.compile(r"aov_image|Pixelwise Depths")
 _WORDS = re.compile(r"pixelwise|depths?|aov|framebuffer|frames?|images?|rgb|colou?r|[\s_-]+", re.IGNORECASE)
 _ALONE = "has no {} of its number: fetch it or take this away"
 _GLANCE = 1000
@@ -68,16 +70,20 @@ def list_pairs(root: Path) -> tuple[tuple[Pair, ...], tuple[Fault, ...]]:
     return tuple(pairs), tuple(faults)
 
 
-def recognises(path: Path) -> bool:
-    """Return whether a folder looks like images with depth charts, by the first names in each of its folders alone."""
-    keys: dict[bool, set[tuple[Path, str, str]]] = {False: set(), True: set()}
-    for _, names in islice(_numbered(path), _GLANCE):
-        for name in names[:_GLANCE]:
+def recognises(path: Path) -> Likeness | None:
+    """How much a folder looks like images with depth charts, by the first names in each of its folders alone."""
+    names: dict[bool, dict[tuple[Path, str, str], Path]] = {False: {}, True: {}}
+    for _, found in islice(_numbered(path), _GLANCE):
+        for name in found[:_GLANCE]:
             key, _, is_depth = _place(name)
-            keys[is_depth].add(key)
-        if keys[False] & keys[True]:
-            return True
-    return False
+            names[is_depth].setdefault(key, name)
+        both = next((key for key in names[False] if key in names[True]), None)
+        if both is not None:
+            image, chart = names[False][both], names[True][both]
+            own = _OWN.search(chart.as_posix()) is not None or image.name.startswith("FrameBuffer")
+            why = f"has {image} and {chart}"
+            return Likeness("sure" if own else "possible", f"{why}, as EndoSLAM and SimCol3D call them" if own else why)
+    return None
 
 
 def _numbered(root: Path) -> Iterator[tuple[Path, list[Path]]]:

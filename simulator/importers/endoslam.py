@@ -35,9 +35,7 @@ __all__ = ["EndoSlam", "endoslam", "recognises", "survey"]
 
 _LOOKED_AT = 8
 _OFF_CENTRE = 0.05
-_SIMCOL = (
-    "SimCol3D's own code reads code / 65280 x 20 cm: depth_scale_cm: 20, depth_code: linear, depth_full_code: 65280"
-)
+_SIMCOL = {"depth_scale_cm": 20, "depth_code": "linear", "depth_full_code": 65280}
 
 
 def endoslam(
@@ -268,7 +266,7 @@ def survey(
 
     good, faults, facts, gaps = read_pairs(root, pairs, unpaired, read, progress)
     facts |= counts.facts()
-    notes = [*counts.notes(), *gaps]
+    notes, found, hints = [*counts.notes(), *gaps], dict[str, Any](), dict[str, str]()
     if images:
         alike = [image for image in images if image.shape == images[0].shape]
         facts["image circle"], note = _circle(alike, root)
@@ -276,8 +274,8 @@ def survey(
         facts["intrinsics"], note = _intrinsics(root, good[0], images[0].shape)
         notes += note
         if good[0].image.name.startswith("FrameBuffer"):
-            notes.append(_SIMCOL)
-    return Survey("endoslam", root, len(good), facts, grouped(faults), tuple(notes))
+            found, hints = _SIMCOL, {"depth_code": "as SimCol3D's own code reads it, code / 65280 x 20 cm"}
+    return Survey("endoslam", root, len(good), facts, grouped(faults), tuple(notes), found=found, hints=hints)
 
 
 def _circle(images: list[NDArray[Any]], root: Path) -> tuple[str, list[str]]:

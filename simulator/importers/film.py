@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from simulator.errors import InputError
 from simulator.importers.film_files import FILM_SUFFIXES, IMAGE_SUFFIXES, Film, ImageSequence, VideoSurvey, open_films
-from simulator.importers.inspection import Progress, Survey, told
-from simulator.importers.listing import counting_fault, is_folder, list_folder, natural
+from simulator.importers.inspection import Likeness, Progress, Survey, sizes_text, told
+from simulator.importers.listing import count_of, counting_fault, examples, is_folder, list_folder, natural
 from simulator.importers.videos import ClipPlan, Count, Crop, FlatVideos, InterpolateWith, Positive
+from simulator.io.images import filled, read_light
+from simulator.text import counted
 from simulator.types import View
 
-FALLBACK = True
+FALLBACK = 2
 """Folders of images are part of many data sets: a source that knows such a layout comes first."""
+
+_LOOKED_AT = 8
+_ALIKE = 0.6
+"""Correlation of neighbouring frames, shrunk to 16 x 16 pixels, from which they are taken for those of a film."""
 
 
 def film(
@@ -70,8 +80,8 @@ def film(
     return FlatVideos.of("film", view, videos, plan, problems)
 
 
-def recognises(path: Path) -> bool:
-    """Whether there are films or images at a path, judged by names alone.
+def recognises(path: Path) -> Likeness | None:
+    """Whether there are films or images at a path, and whether images look like those of a film.
 
     A folder of folders must hold nothing else: files beside them, or folders without images, tell of a data set with another
     layout.
@@ -81,15 +91,67 @@ def recognises(path: Path) -> bool:
     """
     path = Path(path)
     try:
-        _list(path)
+        root, films, sequences = _list(path)
     except InputError as error:
         if isinstance(error.__cause__, OSError):
             raise
+        return None
+    if path.is_file():
+        known = path.suffix.lower() in FILM_SUFFIXES
+        return Likeness("sure", f"ends in {path.suffix}, as films do") if known else None
+    if not any(_look(path)):
+        folders, files = list_folder(path)
+        if files or not all(any(_look(path / folder)) for folder in folders):
+            return None
+    if films:
+        also = f" and {counted(len(sequences), 'folder')} of images" if sequences else ""
+        return Likeness("sure", f"holds {counted(len(films), 'film')}{also}")
+    images = counted(sum(map(len, sequences.values())), "image")
+    for name in [*sequences][:_LOOKED_AT]:
+        if doubt := _doubt(root / name, sequences[name]):
+            return Likeness("possible", f"{images}, but {name}{doubt}")
+    return Likeness("likely", f"{images} whose names count on, of one size, each much like the one before")
+
+
+def _doubt(folder: Path, names: tuple[str, ...]) -> str | None:
+    """Say what speaks against the images of a folder being a film, by the first of them; None where nothing does."""
+    if len(names) < 3:
+        return f" holds only {counted(len(names), 'image')}"
+    if count_of(names) is None:
+        return f"'s names do not count on ({examples([*names])})"
+    small: list[NDArray[np.float32]] = []
+    sizes: set[tuple[int, int]] = set()
+    for name in names[:_LOOKED_AT]:
+        if _has_palette(folder / name):
+            return f"/{name} has a palette, as masks of objects do"
+        try:
+            light = read_light(folder / name)
+        except InputError:
+            return f"/{name} cannot be read"
+        sizes.add((light.shape[0], light.shape[1]))
+        small.append(np.sqrt(filled(light, (16, 16)).mean(axis=-1)))
+    if len(sizes) > 1:
+        return f"'s images differ in size ({sizes_text([min(sizes), max(sizes)])} and so on)"
+    alike = float(np.median([_correlation(*pair) for pair in pairwise(small)]))
+    if alike < _ALIKE:
+        return f"'s images differ from one to the next as photographs do (correlation {alike:.2f})"
+    return None
+
+
+def _has_palette(path: Path) -> bool:
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            return image.mode == "P"
+    except OSError:  # of a kind that Pillow does not know, or broken
         return False
-    if path.is_file() or any(_look(path)):
-        return True
-    folders, files = list_folder(path)
-    return not files and all(any(_look(path / folder)) for folder in folders)
+
+
+def _correlation(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
+    """Pearson's, 1 where both are the same throughout."""
+    spreads = float(one.std()) * float(other.std())
+    return float(((one - one.mean()) * (other - other.mean())).mean()) / spreads if spreads > 0 else 1.0
 
 
 def survey(

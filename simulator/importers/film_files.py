@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.importers.inspection import Survey, sizes_text
+from simulator.importers.inspection import Survey, frames_hint, sizes_text
 from simulator.importers.listing import counting_fault, fault_of
 from simulator.importers.video_decoding import MissingPackageError, count_decodable, index_film, read_film
 from simulator.importers.videos import ClipPlan
@@ -198,7 +198,16 @@ class VideoSurvey:
             found["sizes"] = sizes_text(self.sizes)
             if self.rates:
                 found["frames per second"] = ", ".join(sorted(self.rates, key=float))
-        return Survey(importer, path, len(self.lengths), found, tuple(self.problems), tuple(self.notes), needed)
+        return Survey(
+            importer,
+            path,
+            len(self.lengths),
+            found,
+            tuple(self.problems),
+            tuple(self.notes),
+            needed,
+            hints=frames_hint(self.lengths),
+        )
 
     def _video(self, name: str, frames: int, sizes: set[tuple[int, int]], rates: set[str]) -> bool:
         if len(sizes) > 1:

@@ -25,7 +25,7 @@ from simulator.importers.disparity import (
     disparity_range,
     read_disparity,
 )
-from simulator.importers.inspection import Progress, Survey
+from simulator.importers.inspection import Likeness, Progress, Survey
 from simulator.importers.listing import Fault, fault_of, grouped
 from simulator.importers.sceneflow import PASSES, Eye, PicturePass, Subset, find_root, focal_px, list_frames
 from simulator.importers.videos import Count, Crop, Positive
@@ -110,13 +110,13 @@ def flyingthings3d(
     )
 
 
-def recognises(path: Path) -> bool:
-    """Return whether a folder looks like a SceneFlow data set, by the names in it alone."""
+def recognises(path: Path) -> Likeness | None:
+    """Whether a folder looks like a SceneFlow data set, by the names in it alone."""
     try:
-        root, _ = find_root(path, PASSES)
+        root, images = find_root(path, PASSES)
     except (InputError, OSError):
-        return False
-    return (root / "disparity").is_dir()
+        return None
+    return Likeness("sure", f"has {images.name} beside disparity") if (root / "disparity").is_dir() else None
 
 
 def survey(

@@ -130,16 +130,9 @@ def counting_fault(names: Sequence[str]) -> str | None:
         >>> counting_fault(["a1.png", "a2.png", "a3.png", "a7.png"])
         'its images leave their count of 1 after a3.png (the next is a7.png): fetch what is missing, or split it there'
     """
-    keys = [tuple(natural(name)) for name in names]
-    if len(keys) < 3 or len({len(key) for key in keys}) > 1:
-        return None
-    differing = [place for place, parts in enumerate(zip(*keys, strict=True)) if len(set(parts)) > 1]
-    if len(differing) != 1 or keys[0][differing[0]][0] < 0:
-        return None
-    numbers = [key[differing[0]][0] for key in keys]
-    steps = [after - before for before, after in pairwise(numbers)]
-    (usual, count), *_ = Counter(steps).most_common()
-    if count == len(steps) or 2 * count <= len(steps):
+    steps = _steps(names)
+    usual = count_of(names)
+    if usual is None or steps.count(usual) == len(steps):
         return None
     places = [index for index, step in enumerate(steps) if step != usual]
     more = f", and {len(places) - 1} times more" if len(places) > 1 else ""
@@ -147,6 +140,31 @@ def counting_fault(names: Sequence[str]) -> str | None:
         f"its images leave their count of {usual} after {names[places[0]]} (the next is {names[places[0] + 1]}{more}): "
         "fetch what is missing, or split it there"
     )
+
+
+def count_of(names: Sequence[str]) -> int | None:
+    """Return the step that most of the numbers in names take, None where they do not count, see :func:`counting_fault`.
+
+    Example:
+        >>> count_of(["a1.png", "a2.png", "a3.png", "a7.png"]), count_of(["beach.jpg", "food.jpg", "home.jpg"])
+        (1, None)
+    """
+    steps = _steps(names)
+    if len(steps) < 2:
+        return None
+    (usual, count), *_ = Counter(steps).most_common()
+    return usual if 2 * count > len(steps) else None
+
+
+def _steps(names: Sequence[str]) -> list[int]:
+    """By how much the one number that differs between names rises from each to the next; none where not one differs."""
+    keys = [tuple(natural(name)) for name in names]
+    if len({len(key) for key in keys}) > 1:
+        return []
+    differing = [place for place, parts in enumerate(zip(*keys, strict=True)) if len(set(parts)) > 1]
+    if len(differing) != 1 or keys[0][differing[0]][0] < 0:
+        return []
+    return [after[differing[0]][0] - before[differing[0]][0] for before, after in pairwise(keys)]
 
 
 def fault_of(error: InputError, *files: Path, root: Path | None = None) -> Fault:

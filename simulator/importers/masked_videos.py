@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from simulator.colour import decode_srgb_image
 from simulator.errors import InputError
-from simulator.importers.inspection import Progress, Survey, told
+from simulator.importers.inspection import Progress, Survey, frames_hint, told
 from simulator.importers.listing import Fault, examples, fault_of, grouped, list_folder
 from simulator.importers.object_masks import VOID, fit_mask, object_pixels, read_object_numbers
 from simulator.importers.videos import ClipPlan, FlatVideos
@@ -237,7 +237,10 @@ class MaskedVideos:
             result.judge()
         good = [result for result in results.values() if not result.faults]
         faults = [*found.faults, *(fault for result in results.values() for fault in result.faults)]
-        return Survey(self.importer, found.root, len(good), _facts(good), grouped(faults), _notes(found, good))
+        hints = frames_hint([len(result.video) for result in good])
+        return Survey(
+            self.importer, found.root, len(good), _facts(good), grouped(faults), _notes(found, good), hints=hints
+        )
 
     def _long_enough(self, plan: ClipPlan) -> MaskedVideos:
         """The same with the videos that are too short for a plan among the faults."""

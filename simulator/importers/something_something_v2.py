@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from simulator.errors import InputError
 from simulator.importers.film_files import VideoSurvey, open_films
-from simulator.importers.inspection import Progress, Survey, told
+from simulator.importers.inspection import Likeness, Progress, Survey, told
 from simulator.importers.listing import first_lines, is_folder, list_folder, read_json, refuse_unreadable
 from simulator.importers.videos import ClipPlan, Count, Crop, FlatVideos, InterpolateWith, Positive
 from simulator.text import nearest
@@ -81,10 +81,12 @@ def something_something_v2(
     return FlatVideos.of("something_something_v2", view, films, plan, problems, found.label_files)
 
 
-def recognises(path: Path) -> bool:
+def recognises(path: Path) -> Likeness | None:
     """Whether a folder holds the data set's files of labels and of a subset, judged by names alone."""
-    root = Path(path)
-    return find_labels(root, "labels") is not None and any(find_labels(root, name) for name in ("train", "validation"))
+    files = [find_labels(Path(path), name) for name in ("labels", "train", "validation")]
+    if files[0] is None or not any(files[1:]):
+        return None
+    return Likeness("sure", f"holds {' and '.join(file.name for file in files if file)}")
 
 
 def survey(

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from simulator.errors import InputError
-from simulator.importers.inspection import Progress, Survey
+from simulator.importers.inspection import Likeness, Progress, Survey
 from simulator.importers.listing import is_folder, list_folder, read_json
 from simulator.importers.masked_videos import Categories, MaskedVideos, find_videos
 from simulator.importers.videos import ClipPlan, Count, Crop, FlatVideos, InterpolateWith, Positive
@@ -47,7 +47,7 @@ def youtube_vos(
     Args:
         view: the camera's view: size of the clips, far depth.
         path: the folder that holds ``train`` (or ``valid``), or that folder itself, with JPEGImages, Annotations, meta.json.
-        frames: frames of a clip, after interpolation; videos have 4 to 36 that are annotated.
+        frames: frames of a clip, after interpolation; the published videos have 4 to 36 that are annotated.
         subset: which folder; null takes path itself, or train where path holds it.
         frames_per_second: rate at which a clip is taken to run; null is the video's own, 6 per second, times interpolate_by.
         clips_per_video: clips that one video gives, evenly spread; 1 begins at a random frame.
@@ -71,9 +71,11 @@ def youtube_vos(
     return found.source(view, plan, [found.root / _META])
 
 
-def recognises(path: Path) -> bool:
+def recognises(path: Path) -> Likeness | None:
     """Whether a folder is laid out like YouTube-VOS; looks at names only."""
-    return any((folder / _META).is_file() and (folder / _IMAGES).is_dir() for folder in _candidates(path))
+    if any((folder / _META).is_file() and (folder / _IMAGES).is_dir() for folder in _candidates(path)):
+        return Likeness("sure", f"has {_META} beside {_IMAGES}")
+    return None
 
 
 def survey(

@@ -50,6 +50,7 @@ def test_the_line_to_use_is_yaml_that_loads(flatlight, davis_root, tmp_path, mak
         "frames": "...",
     }
     assert "where frames is: whole number from 1; " in out
+    assert out.rstrip().endswith("the published videos have 25 to 104; those here have 3"), "hints that agree"
     from simulator.config import load_config
 
     trial = make_trial(tmp_path / "trial")
@@ -201,11 +202,74 @@ def test_folders_of_pictures_of_a_known_data_set(tmp_path, names, folder, source
     assert film.recognises(tmp_path / folder)  # it alone would take them for films
 
 
+def moving(count: int, seed: int = 0) -> list[np.ndarray]:
+    """Frames of a scene that moves down by a row each."""
+    blocks = np.random.default_rng(seed).integers(0, 255, (12, 8, 3), dtype=np.uint8)
+    whole = blocks.repeat(8, 0).repeat(8, 1)
+    return [whole[number : number + 48] for number in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("pictures", "doubt"),
+    [
+        ({f"IMG_{2000 + n}.png": moving(1, n)[0] for n in range(6)}, "as photographs do"),
+        ({f"{n}.png": moving(1)[0][n:] for n in range(6)}, "differ in size"),
+        ({f"{name}.png": moving(1)[0] for name in ("beach", "food", "hotel")}, "do not count on"),
+        ({f"{n}.png": moving(1)[0] for n in range(2)}, "only 2 images"),
+    ],
+)
+def test_not_every_folder_of_pictures_is_a_film(flatlight, tmp_path, one_error, pictures, doubt) -> None:
+    (tmp_path / "holiday").mkdir()
+    for name, picture in pictures.items():
+        Image.fromarray(picture).save(tmp_path / "holiday" / name)
+    result = flatlight("import", "--check", tmp_path / "holiday")
+    one_error(result, "--source", "film  possible", doubt, "family: files")
+    assert "film, 1 usable" in flatlight("import", "--check", tmp_path / "holiday", "--source", "film", "--skip-bad")[
+        1
+    ] or ("size" in doubt)
+
+
+def test_masks_of_objects_are_no_film(tmp_path) -> None:
+    for number in range(4):
+        mask = Image.fromarray(np.eye(8, 12, dtype=np.uint8), "P")
+        mask.putpalette([0, 0, 0, 128, 0, 0])
+        mask.save(tmp_path / f"{number}.png")
+    likeness = film.recognises(tmp_path)
+    assert likeness is not None
+    assert (likeness.sure, "palette" in likeness.why) == ("possible", True)
+
+
+def test_images_with_depth_beside_them_are_told_from_two_films(flatlight, tmp_path) -> None:
+    """Two folders with the same numbers: only what is stored in 16 bits of grey tells a chart."""
+    for number, frame in enumerate(moving(4)):
+        for folder in ("depth", "films"):
+            for part in "ab":
+                (tmp_path / folder / part).mkdir(parents=True, exist_ok=True)
+                Image.fromarray(frame).save(tmp_path / folder / part / f"{number:03}.png")
+        chart = np.full(frame.shape[:2], 1500 + number, np.uint16)
+        chart[:4] = 0
+        Image.fromarray(chart).save(tmp_path / "depth" / "b" / f"{number:03}.png")
+    assert "/films looks like\n  film  likely" in flatlight("import", "--check", tmp_path / "films")[1]
+    code, out, _ = flatlight("import", "--check", tmp_path / "depth")
+    assert code == 0
+    assert "rgb_depth  likely    4 of 4 charts pair with an image by name; charts are 16 bit codes 0 to 1500" in out
+    assert "film       likely" in out
+    (line,) = [line for line in out.splitlines() if line.startswith("  scene: ")]
+    scene = yaml.safe_load(line)["scene"]
+    assert (scene["images"], scene["depths"], scene["depth"]) == (
+        "a/*.png",
+        "b/*.png",
+        {"type": "metric", "unit": "mm"},
+    )
+    assert "mm is a guess, by which the first chart reaches 1.5 m" in out
+
+
 def test_films_step_aside_where_another_source_knows_the_folder(flatlight, install_sources, tmp_path) -> None:
     install_sources("layouts", boxes_of_frames="return (path / 'known').is_file()")
     pictures = tmp_path / "pictures"
     (pictures / "a").mkdir(parents=True)
-    Image.fromarray(np.full((8, 12, 3), 90, np.uint8)).save(pictures / "a" / "0.png")
+    for number in range(3):
+        Image.fromarray(np.full((8, 12, 3), 90 + number, np.uint8)).save(pictures / "a" / f"{number}.png")
     assert choose(pictures, find_candidates(pictures)).name == "film"
     _, out, _ = flatlight("import", "--check", pictures)
     assert "frames: ..., frames_per_second: ...}" in out
@@ -213,7 +277,7 @@ def test_films_step_aside_where_another_source_knows_the_folder(flatlight, insta
     (pictures / "a" / "known").touch()
     inside = find_candidates(pictures / "a")
     assert choose(pictures / "a", inside).name == "boxes_of_frames"
-    assert "film" in [plugin.name for plugin in inside.others]
+    assert [plugin.name for plugin, _ in inside.recognised] == ["boxes_of_frames", "film"]
 
 
 def test_a_folder_that_may_not_be_read_is_named(flatlight, davis_root, monkeypatch, one_error) -> None:

@@ -370,10 +370,10 @@ class TestSurvey:
             "FrameBuffer_0004.png",
             "Depth_0001.png",
         ]
-        gaps, axis, formula = found.notes
+        gaps, axis = found.notes
         assert gaps == "gaps in the numbering: 1, which no clip crosses"
         assert "puts the optical axis at column 12, row 7.5 of 16 x 16 pixels" in axis
-        assert "depth_full_code: 65280" in formula
+        assert found.found == {"depth_scale_cm": 20, "depth_code": "linear", "depth_full_code": 65280}
 
     def test_codes_in_centimetres(self, tmp_path):
         """Codes from 128 of 255 are beyond the half of 20 cm; 0.5 cm / (code / 255) is beyond 10 cm below code 12.75."""

@@ -385,8 +385,8 @@ def test_layouts_are_told_apart(tube, davis_root, tmp_path) -> None:
     write_picture(flat / "images" / "x" / "00000.jpg", 1)
     write_mask(flat / "masks" / "x" / "00000.png", LEFT)
     paths = (tube.root, tube.folder, davis_root, flat, tmp_path / "none", davis_root / "ImageSets")
-    assert [youtube_vos_module.recognises(path) for path in paths] == [True, True, False, False, False, False]
-    assert [davis_module.recognises(path) for path in paths] == [False, False, True, True, False, False]
+    assert [bool(youtube_vos_module.recognises(path)) for path in paths] == [True, True, False, False, False, False]
+    assert [bool(davis_module.recognises(path)) for path in paths] == [False, False, True, True, False, False]
 
 
 @pytest.mark.shared
