@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from simulator.errors import InputError
-from simulator.importers.camera_models import Lens
+from simulator.importers.camera_models import Lens, Pinhole
 from simulator.types import View
 
 Field: TypeAlias = Literal["fill", "angles"]
@@ -34,7 +34,8 @@ class Lookup:
     """Where a view's pixels are found in an image.
 
     Attributes:
-        weights: ``(h w, H W)``: the mean over a view pixel's footprint; rows add up to the share of it that is seen.
+        weights: ``(h w, H W)``: the mean over a view pixel's footprint; rows add up to the share of it that is seen. Where
+            that is a rectangle of image pixels, ``(h, H)`` and ``(w, W)``, whose product it is.
         nearest: ``(h, w)`` index into the image's pixels of the one nearest to each view pixel's centre.
         seen: ``(h, w)`` whether the centre of a view pixel lies in the image.
         cosine: ``(h, w)`` of the angle between the image's ray and its optical axis.
@@ -42,7 +43,7 @@ class Lookup:
         samples: per side of a view pixel.
     """
 
-    weights: csr_array
+    weights: csr_array | tuple[csr_array, csr_array]
     nearest: NDArray[np.intp]
     seen: NDArray[np.bool_]
     cosine: NDArray[np.float64]
@@ -51,6 +52,11 @@ class Lookup:
 
     def colour(self, linear: NDArray[np.float32]) -> NDArray[np.float32]:
         """Resample linear light ``(H, W, 3)`` -> ``(h, w, 3)``; black where nothing is seen."""
+        if isinstance(self.weights, tuple):
+            down, across = self.weights
+            strips = (down @ linear.reshape(len(linear), -1)).reshape(self.seen.shape[0], -1, 3)
+            flat = across @ strips.swapaxes(0, 1).reshape(strips.shape[1], -1)
+            return flat.reshape(-1, len(strips), 3).swapaxes(0, 1).astype(np.float32)
         flat = self.weights @ linear.reshape(-1, 3).astype(np.float64)
         return flat.reshape(*self.seen.shape, 3).astype(np.float32)
 
@@ -86,8 +92,15 @@ def build_lookup(lens: Lens, shape: tuple[int, int], view: View, field: Field, c
         for values, size in ((columns, shape[1]), (rows, shape[0]))
     )
     nearest = row * shape[1] + column
-    fine = lens.pixels(*(scale * tangents for tangents in _tangents(view, samples)))
-    weights = _weights(*fine, shape, circle, samples)
+    x_fine, y_fine = (scale * tangents for tangents in _tangents(view, samples))
+    if circle is None and isinstance(lens, Pinhole) and not any(lens.distortion):  # a thousandth of the entries
+        columns, rows = (
+            lens.pixels(x_fine[0], np.zeros(x_fine.shape[1]))[0],
+            lens.pixels(np.zeros(len(y_fine)), y_fine[:, 0])[1],
+        )
+        weights = _weights_along(rows, shape[0], samples), _weights_along(columns, shape[1], samples)
+    else:
+        weights = _weights(*lens.pixels(x_fine, y_fine), shape, circle, samples)
     return Lookup(weights, nearest, seen, 1 / np.sqrt(1 + x**2 + y**2), scale, samples)
 
 
@@ -163,6 +176,18 @@ def _weights(
     sources = np.concatenate([source for _, source in entries])
     size = (height * width, shape[0] * shape[1])
     return csr_array((shares, (np.tile(pixel, 4), sources)), shape=size)
+
+
+def _weights_along(places: NDArray[np.float64], size: int, samples: int) -> csr_array:
+    """The same along one axis of the image: ``(n samples,)`` places -> ``(n, size)``."""
+    pixel = np.arange(places.size) // samples
+    seen = np.abs(places - (size - 1) / 2) <= size / 2
+    pixel, place = pixel[seen], np.clip(places[seen], 0, size - 1)
+    first = np.minimum(place.astype(np.intp), max(size - 2, 0))
+    second = np.minimum(first + 1, size - 1)
+    shares = np.concatenate([1 - (place - first), place - first]) / samples
+    where = np.tile(pixel, 2), np.concatenate([first, second])
+    return csr_array((shares, where), shape=(places.size // samples, size))
 
 
 DARK_CODE = 12

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.sparse import csr_array
 
 from simulator.colour import decode_srgb_image, linear_to_srgb
 from simulator.errors import InputError
@@ -63,6 +64,16 @@ class TestLookup:
         lookup = build_lookup(lens, (200, 200), view_of((6, 8), 10.0), "fill", None)
         assert lookup.seen.all()
         assert np.degrees(np.arctan(0.5 * lookup.scale)) == pytest.approx(70, rel=1e-12)  # corners at hypot(4, 3) / 10
+
+    @pytest.mark.parametrize("field", ["fill", "angles"])
+    def test_a_pinhole_s_weights_are_those_of_any_lens(self, field):
+        """A distortion too small to move a sample by a rounding takes the way of all lenses."""
+        picture = np.random.default_rng(0).random((31, 43, 3), np.float32)
+        lenses = (Pinhole(fx=50.0, fy=47.0, cx=20.3, cy=14.1, distortion=each) for each in ((), (1e-14, 0.0)))
+        fast, slow = (build_lookup(lens, (31, 43), view_of((7, 11), 12.0), field, None) for lens in lenses)
+        assert (type(fast.weights), type(slow.weights)) == (tuple, csr_array)
+        np.testing.assert_allclose(fast.colour(picture), slow.colour(picture), rtol=0, atol=1e-6)
+        assert np.array_equal(fast.nearest, slow.nearest)
 
     def test_what_the_picture_does_not_show_is_black_and_not_seen(self):
         lens = Pinhole(fx=10.0, fy=10.0, cx=3.5, cy=3.5)
