@@ -12,7 +12,7 @@ from simulator.errors import InputError
 from simulator.importers.disparity import read_pfm
 from simulator.io.exr import read_exr
 from simulator.io.images import read_image
-from simulator.io.measurements import read_npy
+from simulator.io.measurements import read_npy, read_tiff
 
 DEPTH_SUFFIXES = frozenset((".exr", ".npy", ".pfm", ".pgm", ".png", ".tif", ".tiff"))
 """Endings of files without loss, by which depth charts are found in folders."""
@@ -30,7 +30,7 @@ def read_chart(path: Path) -> NDArray[Any]:
     Raises:
         InputError: naming the file, when it is missing, broken or holds anything else.
     """
-    readers = {".exr": _read_exr, ".npy": read_npy, ".pfm": read_pfm, ".tif": _read_tiff, ".tiff": _read_tiff}
+    readers = {".exr": _read_exr, ".npy": read_npy, ".pfm": read_pfm, ".tif": read_tiff, ".tiff": read_tiff}
     values = one_channel(readers.get(path.suffix.lower(), read_image)(path), path)
     if values.ndim != 2 or values.dtype.kind not in "iuf" or not values.size:
         what = f"{values.dtype} {' x '.join(map(str, values.shape))}"
@@ -64,18 +64,3 @@ def _read_exr(path: Path) -> NDArray[np.float32]:
     if set("RGB") <= channels.keys():
         return np.stack([channels[name] for name in "RGB"], axis=-1)
     raise InputError(path, f"its channels are {', '.join(channels)}; expected a single one, Z, or the same R, G and B")
-
-
-def _read_tiff(path: Path) -> NDArray[Any]:
-    import tifffile
-    from PIL import Image
-
-    try:
-        with tifffile.TiffFile(path) as file:
-            return file.asarray()
-    except Exception as error:  # tifffile raises whatever the broken bytes lead to
-        try:  # and knows fewer compressions than Pillow's library
-            with Image.open(path) as image:
-                return np.asarray(image)
-        except Exception:
-            raise InputError(path, f"cannot be read as a TIFF image ({error}): fetch it again") from error

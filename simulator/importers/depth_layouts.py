@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,9 @@ from simulator.importers.listing import is_folder, natural, walk
 from simulator.text import length
 
 _DEPTH = re.compile(r"depth|disp|aov", re.IGNORECASE)
-_STEREO = re.compile(r"(?:im|disp|view|mask)([01])\w*")  # Middlebury's numbers are those of the cameras
-_GLANCE = 300
+_STEREO = re.compile(r"(?:im|disp)([01])(?:GT)?")  # Middlebury's numbers are those of the cameras
+_FOLDERS, _NAMES, _UNNAMED = 100, 200, 8
+"""How much is looked at before anything is paired: folders, names in each, and kinds of files that no word tells apart."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,13 @@ class _Series:
     form: str
     names: tuple[str, ...]
 
+    @cached_property
+    def keys(self) -> frozenset[tuple[tuple[int, str], ...]]:
+        """What the first names have in common with those of their partners."""
+        return frozenset(
+            tuple(natural(WORDS.sub("", Path(name).stem).lower())) for name in sorted(self.names, key=natural)[:_NAMES]
+        )
+
     def differing(self, other: _Series) -> tuple[str, ...] | None:
         """The parts of its folder's path that differ from the other's, None where they lie on different levels."""
         if len(self.folder.parts) != len(other.folder.parts):
@@ -88,13 +97,15 @@ def find_layouts(root: Path) -> list[Layout]:
     """
     if not is_folder(root):
         return []
-    series = [one for folder, names in islice(walk(root), _GLANCE) for one in _series(folder.relative_to(root), names)]
+    series = [one for folder, names in islice(walk(root), _FOLDERS) for one in _series(folder.relative_to(root), names)]
     found: dict[Any, list[tuple[_Series, _Series]]] = {}
     for charts in series:
         if Path(charts.form).suffix.lower() in DEPTH_SUFFIXES and (images := _partner(charts, series)) is not None:
             alike = images.form, charts.form, images.differing(charts), charts.differing(images)
             found.setdefault(alike, []).append((images, charts))
-    layouts = [layout for both in found.values() if (layout := _layout(root, both)) is not None]
+    named = [both for both in found.values() if both[0][1].says_depth(both[0][0])]
+    unnamed = [both for both in found.values() if both not in named][:_UNNAMED]
+    layouts = [layout for both in named + unnamed if (layout := _layout(root, both)) is not None]
     return sorted(layouts, key=lambda layout: (layout.likeness.rank, len(layout.pairs)), reverse=True)
 
 
@@ -125,7 +136,6 @@ def _form(stem: str) -> str:
 
 def _partner(charts: _Series, series: Sequence[_Series]) -> _Series | None:
     """The series of images that charts go with: in the same folder, or in one that differs in one part of its path."""
-    wanted = {_key(name) for name in charts.names}
     camera = _STEREO.fullmatch(Path(charts.form).stem)
     best: tuple[tuple[bool, int, bool], _Series] | None = None
     for images in series:
@@ -137,15 +147,11 @@ def _partner(charts: _Series, series: Sequence[_Series]) -> _Series | None:
         if camera is not None:
             both = int(not parts and says and Path(images.form).stem == f"im{camera[1]}")
         else:
-            both = len(wanted & {_key(name) for name in images.names})
+            both = len(charts.keys & images.keys)
         rank = says, both, not parts
         if both and (best is None or rank > best[0]):
             best = rank, images
     return None if best is None else best[1]
-
-
-def _key(name: str) -> tuple[tuple[int, str], ...]:
-    return tuple(natural(WORDS.sub("", Path(name).stem).lower()))
 
 
 def _layout(root: Path, both: list[tuple[_Series, _Series]]) -> Layout | None:

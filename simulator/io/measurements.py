@@ -67,7 +67,7 @@ def read_measured_image(path: Path, channels: tuple[str, ...] = RGB) -> Measured
     elif suffix == ".png":
         found = _read_png(path)
     elif suffix in (".tif", ".tiff"):
-        found = _channels_last(_read_tiff(path), len(channels), path)
+        found = _channels_last(read_tiff(path), len(channels), path)
     elif not path.exists():
         raise InputError(path, "there is no such file or folder")
     else:
@@ -156,8 +156,12 @@ def _read_png(path: Path) -> MeasuredImage:
     return MeasuredImage(image[None] if image.ndim == 2 else np.moveaxis(image, -1, 0), notes)
 
 
-def _read_tiff(path: Path) -> NDArray[Any]:
-    """``(H, W)`` or ``(H, W, C)``."""
+def read_tiff(path: Path) -> NDArray[Any]:
+    """Read the one image of a TIFF file, ``(H, W)`` or ``(H, W, C)``.
+
+    Raises:
+        InputError: naming the file, when it is broken, too large, or of several pages.
+    """
     import tifffile
 
     try:

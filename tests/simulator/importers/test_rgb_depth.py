@@ -113,6 +113,12 @@ class TestCodings:
         assert clip.rgb[0][unknown].min() > 0
         assert clip.source["without_depth_share"] == 4 / 192
 
+    def test_a_compressed_tiff(self, tmp_path):
+        save(tmp_path / "rgb/0001.png", picture())
+        (tmp_path / "depth").mkdir()
+        Image.fromarray(CODES).save(tmp_path / "depth/0001.tif", compression="tiff_lzw")
+        np.testing.assert_allclose(clip_of(tmp_path).depth_m[0], CODES * 1e-3, rtol=2**-23)
+
     def test_an_exr_of_blender_holds_depth_three_times(self, tmp_path):
         metres = RNG.uniform(0.02, 0.4, SHAPE).astype(np.float32)
         choice = {"depth": {"type": "metric", "unit": "m"}}
@@ -193,6 +199,9 @@ def middlebury(root, scenes=("Adirondack-perfect", "artroom1", "artroom2")):
         for camera in (0, 1):
             save(root / scene / f"im{camera}.png", picture(seed + 10 * camera))
             save(root / scene / f"disp{camera}.pfm", disparity.astype(np.float32))
+        for other in ("disp0-sd.pfm", "disp0y.pfm"):  # deviations, and vertical disparities
+            save(root / scene / other, np.ones(SHAPE, np.float32))
+        save(root / scene / "im1E.png", picture(seed))
         numbers = [f"cam{k}=[{focal} 0 {cx}; 0 {focal} 5.5; 0 0 1]" for k, cx in enumerate((7.5, 7.5 + doffs))]
         numbers += [f"doffs={doffs}", f"baseline={baseline}", "width=16", "height=12", "ndisp=4", "isint=0"]
         (root / scene / "calib.txt").write_text("\n".join(numbers))
