@@ -253,6 +253,12 @@ GALLERIES = {
             f"Each sheet: {SAMPLES} samples of {SIDE} x {SIDE} pixels and their depth; of clips {FRAMES} frames and one "
             "depth. One radiance is white in all of a sheet, and stands on it.\n",
             "Your own family is one function in one file: `./my_scenes.py:name`, or a file put into `scenes/`.\n",
+            "Images with depth of your own need no code: `scene: {source: rgb_depth, path: middlebury, images: '*/im0.png', "
+            "depths: '*/disp0.pfm', depth: {type: disparity}, intrinsics_file: calib.txt, scale: 0.1}` reads Middlebury's "
+            "scenes at a tenth of their size, `{source: rgb_depth, path: set, images: rgb, depths: depth, depth: {type: "
+            "metric, unit: mm}}` two folders of the same names or numbers, and `path: pairs.csv` a table with the columns "
+            "`image` and `depth`. `flatlight import --check FOLDER` says what a folder looks like, how surely and why, and "
+            "prints the section to paste.\n",
         ),
     ),
 }

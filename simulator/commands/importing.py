@@ -19,7 +19,8 @@ _EXAMPLE_SIZE = "[128, 128]"
 
 def import_check(
     check: Annotated[
-        Path, typer.Option("--check", metavar="PATH", help="folder or film to read and report on", show_default=False)
+        Path,
+        typer.Option("--check", metavar="PATH", help="folder, film or table to read and report on", show_default=False),
     ],
     source: Annotated[
         str | None,
@@ -31,7 +32,7 @@ def import_check(
     ] = None,
     skip_bad: Annotated[bool, typer.Option("--skip-bad", help="list what is bad, but do not fail for it")] = False,
 ) -> None:
-    """Read a data set in its original layout once and report what was found; nothing is copied or changed."""
+    """Say what a folder looks like, how surely and why; then read all of it once and report; nothing is copied or changed."""
     from simulator.config.yaml import apply_overrides, parse_yaml
     from simulator.console import Bar
     from simulator.importers.inspection import choose, find_candidates, run_survey

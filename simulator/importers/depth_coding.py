@@ -91,9 +91,9 @@ class DisparityDepth(_Coding, frozen=True):
         """
         assert self.focal_px is not None
         assert self.baseline_mm is not None
-        with np.errstate(divide="ignore", invalid="ignore"):
-            shift = values.astype(np.float64) / self.codes_per_px + (self.doffs_px or 0.0)
-            return _known(np.where(np.isfinite(shift), self.focal_px * self.baseline_mm * 1e-3 / shift, np.inf))
+        shift_px = values.astype(np.float64) / self.codes_per_px + (self.doffs_px or 0.0)
+        with np.errstate(divide="ignore"):
+            return _known(self.focal_px * self.baseline_mm * 1e-3 / shift_px)
 
     def record(self) -> dict[str, Any]:
         """The coding in plain data."""

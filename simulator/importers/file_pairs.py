@@ -28,6 +28,7 @@ WORDS = re.compile(
 )
 """What names of images and of charts may differ by."""
 
+_STAR = re.compile(r"(?:\\\*)+")  # stars as re.escape leaves them
 _Key: TypeAlias = tuple[tuple[tuple[int, str], ...], ...]
 
 
@@ -134,7 +135,7 @@ def pairs_of_folders(
     pairs = []
     for image, depth in matched:
         front, digits = _numbered(image.name)
-        sequence = "/".join(part for part in (image.folder, front) if part)
+        sequence = "/".join(part for part in (image.folder, front) if part) or image.path.parent.name or root.name
         mask = of_image[image].path if image in of_image else None
         pairs.append(Pair(image.path, depth.path, sequence, int(digits or 0), mask))
     return _ordered(pairs, str(root)), tuple(faults)
@@ -149,41 +150,48 @@ def find_files(root: Path, key: str, where: str, suffixes: frozenset[str]) -> li
     place = root / where
     if is_folder(place):
         found = [
-            _File(Path(where, folder.relative_to(place), name), folder.relative_to(place).as_posix(), Path(name).stem)
+            _File(Path(where, *parts, name), "/".join(parts), Path(name).stem)
             for folder, names in walk(place)
+            for parts in (folder.relative_to(place).parts,)
             for name in names
             if Path(name).suffix.lower() in suffixes
         ]
         if not found:
             raise InputError(key, f"{place} holds nothing that ends in {' '.join(sorted(suffixes))}")
-        return [_File(file.path, file.folder.removeprefix("."), file.name) for file in found]
+        return found
+    if place.is_file():
+        return [_File(Path(where), "", "")]
     if "*" not in where:
         raise InputError(
             key, f"there is no folder {place}; expected one, or a pattern such as */im0.png or **/Depth_*.png"
         )
-    *folders, _ = parts = Path(where).parts
+    parts = Path(where).parts
     fixed = next(k for k, part in enumerate(parts) if "*" in part)
-    start = root.joinpath(*parts[:fixed])
-    expression = re.compile("".join(_expression(part, last=part is parts[-1]) for part in parts[fixed:]))
-    in_folders = sum(max(part.count("*"), 0) if part != "**" else 1 for part in folders[fixed:])
+    top = root.joinpath(*parts[:fixed])
+    expressions = [_expression(part) for part in parts[fixed:-1]] + [_STAR.sub("([^/]*)", re.escape(parts[-1]))]
+    expression = re.compile("".join(expressions))
+    in_folders = re.compile("".join(expressions[:-1])).groups
+    ending_is_open = parts[-1].endswith("*") or "*" in Path(parts[-1]).suffix
     found = []
-    for folder, names in walk(start):
+    for folder, names in walk(top):
         for name in names:
-            path = (folder / name).relative_to(start)
-            if match := expression.fullmatch(path.as_posix()):
-                groups = [group or "" for group in match.groups()]
-                kept = "/".join(filter(None, groups[:in_folders]))
-                found.append(_File(Path(*parts[:fixed], path), kept, "".join(groups[in_folders:])))
+            path = (folder / name).relative_to(top)
+            match = expression.fullmatch(path.as_posix())
+            if match is None or (ending_is_open and path.suffix.lower() not in suffixes):
+                continue
+            stem_end = len(path.with_suffix("").as_posix())
+            spans = [match.span(group) for group in range(1, expression.groups + 1)]
+            texts = [path.as_posix()[start : min(end, stem_end)] for start, end in spans]
+            kept = "/".join(filter(None, texts[:in_folders]))
+            found.append(_File(Path(*parts[:fixed], path), kept, "".join(texts[in_folders:])))
     if not found:
         raise InputError(key, f"{where} matches no file in {root}")
     return found
 
 
-def _expression(part: str, *, last: bool) -> str:
-    """The regular expression of one part of a path, a group for each star."""
-    if part == "**" and not last:
-        return "(?:(.+)/)?"
-    return "([^/]*)".join(map(re.escape, re.split(r"\*+", part))) + ("" if last else "/")
+def _expression(folder: str) -> str:
+    """The regular expression of a folder in a pattern, a group for each star."""
+    return "(?:(.+)/)?" if folder == "**" else _STAR.sub("([^/]*)", re.escape(folder)) + "/"
 
 
 def _match(left: Sequence[_File], right: Sequence[_File], *names: tuple[str, str]) -> list[tuple[_File, _File]]:

@@ -33,6 +33,8 @@ from simulator.types import View
 FALLBACK = 1
 """A source that knows the layout by its name comes first."""
 
+_ONE_VIDEO = "all images are numbered on, so they count as one video, for one split: independent: true if they are none"
+
 NotNegative = Annotated[float, Field(ge=0)]
 
 
@@ -77,7 +79,7 @@ def rgb_depth(
             doffs_px. NaN and inf always do.
         depth_along: whether charts hold z along the optical axis or, as of many renderers, distances along each ray (needs
             intrinsics).
-        scale: by which the scene is shrunk about the camera: 0.05 puts what is 2 m away at 10 cm, under the same angles.
+        scale: factor by which the scene shrinks about the camera: 0.05 puts what is 2 m away at 10 cm, under the same angles.
         range_cm: nearest and deepest depth, after scaling; beyond it the depth counts as unknown.
         frames: of a clip, with consecutive numbers; 1 gives stills.
         frames_per_second: rate at which a clip's frames were taken; clips need it.
@@ -375,4 +377,5 @@ def survey(
             facts["depths"] = f"{limits[0] * 100:.4g} to {limits[1] * 100:.4g} cm"
         facts["unknown"] = f"{unknown[0] / unknown[1]:.1%} of pixels"
         facts["intrinsics"] = intrinsics_file or "none: the images' focal length is taken for unknown"
-    return Survey("rgb_depth", path, len(good), facts, grouped(faults), tuple(gaps), (), found, hints)
+    notes = [*gaps, _ONE_VIDEO] if len(good) > 1 and len({pair.sequence for pair in good}) == 1 else gaps
+    return Survey("rgb_depth", path, len(good), facts, grouped(faults), tuple(notes), (), found, hints)

@@ -104,3 +104,9 @@ def test_every_parameter_of_every_shipped_design_has_a_meaning() -> None:
     for name in available("mask"):
         for line in parameter_lines(resolve("mask", name)):
             assert line.meaning, f"{name}: {line.name}"
+
+
+def test_a_section_with_a_type_says_its_types() -> None:
+    """Names of our own classes would tell users nothing."""
+    (depth,) = [line for line in parameter_lines(resolve("source", "rgb_depth")) if line.name == "depth"]
+    assert depth.expected == "{type: metric, ...} or {type: disparity, ...} or {type: linear | inverse, ...}"

@@ -165,6 +165,11 @@ class TestCodings:
         small = CODES[:6, :8]
         clip = depths_of(small, tmp_path)
         np.testing.assert_allclose(clip.depth_m[0], small.repeat(2, 0).repeat(2, 1) * 1e-3, rtol=2**-23)
+        three_quarters = depths_of(CODES[:9, :12], tmp_path).depth_m[0]
+        rows, columns = (
+            [np.abs((np.arange(n * 3 // 4) + 0.5) * 4 / 3 - 0.5 - k).argmin() for k in range(n)] for n in SHAPE
+        )
+        np.testing.assert_allclose(three_quarters, CODES[np.ix_(rows, columns)] * 1e-3, rtol=2**-23)
         for wrong in (CODES[:6], np.ones((24, 32), np.uint16)):
             with pytest.raises(InputError, match=r"depth/0001\.png: got .* x .* pixels"):
                 depths_of(wrong, tmp_path)
@@ -261,6 +266,12 @@ class TestLayouts:
             "intrinsics_file": "calib.txt",
         }
         assert (found.usable, found.problems, found.facts["unknown"]) == (3, (), "4.2% of pixels")  # 24 of 576
+
+    def test_a_single_scene_of_middlebury(self, tmp_path):
+        scene = middlebury(tmp_path) / "artroom1"
+        found = survey(scene)
+        assert (found.found["images"], found.found["depths"], found.usable) == ("im0.png", "disp0.pfm", 1)
+        assert [pair.sequence for pair in source_of(scene, **found.found).pairs] == ["artroom1"]
 
     def test_simcol3d(self, tmp_path):
         codes = simcol(tmp_path)
@@ -460,6 +471,24 @@ class TestPairs:
         assert source.problems == ()
         assert {pair.image.as_posix(): pair.depth.as_posix() for pair in source.pairs} == together
 
+    @pytest.mark.parametrize(
+        "pattern", ["rgb/*/*", "rgb/*/*.png", "**/rgb/**/*.png", "rgb/s*(a)/i_*.png", "rgb/s*/i_*.p*"]
+    )
+    def test_stars(self, tmp_path, pattern):
+        """Parentheses and dots stand for themselves; endings are no part of a name."""
+        (tmp_path / "rgb/s2(a)").mkdir(parents=True)
+        (tmp_path / "rgb/s2(a)/i_3.txt").touch()
+        pictures = [f"rgb/s{k}(a)/i_{k}.png" for k in (2, 10)]
+        depths = pattern.replace("rgb", "depth")
+        source = self.pairs(
+            tmp_path, pictures, [name.replace("rgb", "depth") for name in pictures], images=pattern, depths=depths
+        )
+        assert [(pair.image.as_posix(), pair.depth.as_posix()) for pair in source.pairs] == [
+            (name, name.replace("rgb", "depth")) for name in pictures
+        ]
+        assert source.groups == (0, 1)
+        assert [pair.number for pair in source.pairs] == [2, 10]
+
     def test_numbers_sort_as_numbers_and_gaps_break_clips(self, tmp_path):
         names = [f"{number}.png" for number in (8, 9, 10, 12)]
         charts = [f"depth/{name}" for name in names]
@@ -468,6 +497,7 @@ class TestPairs:
         assert (len(source), source.starts) == (1, (0,))
         assert source_of(tmp_path).groups == (0, 0, 0, 0)
         assert source_of(tmp_path, independent=True).groups == (0, 1, 2, 3)
+        assert "independent: true" in survey(tmp_path).notes[-1]
 
     def test_files_without_partner_are_problems(self, tmp_path):
         source = self.pairs(tmp_path, ["rgb/1.png", "rgb/2.png"], ["depth/2.png", "depth/3.png"])
