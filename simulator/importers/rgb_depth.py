@@ -33,7 +33,9 @@ from simulator.types import View
 FALLBACK = 1
 """A source that knows the layout by its name comes first."""
 
-_ONE_VIDEO = "all images are numbered on, so they count as one video, for one split: independent: true if they are none"
+_ONE_VIDEO = (
+    "all images are numbered on, so they are one video, for one split; independent: true if each is a scene of its own"
+)
 
 NotNegative = Annotated[float, Field(ge=0)]
 
