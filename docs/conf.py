@@ -26,13 +26,15 @@ myst_fence_as_directive = ["mermaid"]
 myst_heading_anchors = 4
 suppress_warnings = ["myst.header"]  # a page of the repository may begin with a heading of the second level
 
-autodoc_default_options = {"members": True, "member-order": "bysource", "show-inheritance": False}
-autodoc_typehints = "signature"
-autodoc_typehints_format = "short"
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_typehints = "none"  # names have their units, docstrings shapes: types of arrays would only hide the arguments
 autodoc_preserve_defaults = True
 autoclass_content = "class"
 napoleon_numpy_docstring = False
+napoleon_attr_annotations = False
+napoleon_use_ivar = True
 napoleon_use_rtype = False
+highlight_language = "none"  # what a terminal shows, unless a page says which language
 default_role = "literal"  # docstrings quote code by single backticks
 
 html_theme = "furo"
@@ -42,3 +44,13 @@ html_css_files = ["site.css"]
 html_copy_source = False
 html_math_renderer = "mathml"
 pygments_style, pygments_dark_style = "friendly", "monokai"
+
+
+def setup(app):
+    """Keep Napoleon from taking what a property's docstring says before a colon for a type."""
+
+    def part(app, what, name, thing, options, lines):
+        if what == "property" and lines:
+            lines[0] = lines[0].replace(": ", " – ")
+
+    app.connect("autodoc-process-docstring", part, priority=400)

@@ -1,4 +1,4 @@
-"""Makes the galleries of mask designs and scene families: ``uv run python docs/galleries.py KIND [NAME ...] [--text]``.
+"""The galleries of mask designs and scene families, which ``docs/pictures.py KIND [NAME ...] [--text]`` makes.
 
 ``designs``: one image per design in ``docs/images/designs`` (mask, PSF of a near and of a distant point, in colour, on one
 scale) and ``docs/designs.md`` around them. Each camera is the shipped configuration with the changes of the table below.
@@ -8,12 +8,11 @@ camera is that of a preset (`flatlight init --preset NAME`), with 96 x 96 pixels
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -220,6 +219,18 @@ class Gallery:
             ]
         return "\n".join(parts)
 
+    def make(self, folder: str, names: Sequence[str] = (), *, text_only: bool = False) -> None:
+        """Draw what is named, or all, into ``docs/images/FOLDER``, and write the page."""
+        images = DOCS / "images" / folder
+        images.mkdir(parents=True, exist_ok=True)
+        for name in [] if text_only else names or self.examples:
+            path = images / f"{name}{self.suffix}"
+            with warnings.catch_warnings(record=True) as heard:
+                warnings.simplefilter("always")
+                self.draw(name, path)
+            print(f"{path} ({path.stat().st_size / 1e3:.0f} kB)", *(str(item.message) for item in heard), sep="\n  ")
+        (DOCS / f"{folder}.md").write_text(self.text(folder), encoding="utf-8")
+
 
 GALLERIES = {
     "designs": Gallery(
@@ -231,11 +242,11 @@ GALLERIES = {
         "mask and PSFs of",
         (
             "# Mask designs\n",
-            "Written by `docs/galleries.py`; `flatlight masks` prints the same lists. Each image: the mask, then the PSF of "
-            "a near point and of a distant one, in the colours of the default camera under daylight, both on one scale with "
-            "a square-root stretch, on pixels of 4.8 um. PSFs are in the stored frame: rotated by 180 degrees, so that a "
-            "pinhole's image is upright.\n",
-            "Your own design is one function in one file: see [README](../README.md#swap-the-mask).\n",
+            "Written by `docs/pictures.py designs`; `flatlight masks` prints the same lists. Each image: the mask, then the "
+            "PSF of a near point and of a distant one, in the colours of the default camera under daylight, both on one "
+            "scale with a square-root stretch, on pixels of 4.8 um. PSFs are in the stored frame: rotated by 180 degrees, so "
+            "that a pinhole's image is upright.\n",
+            "Your own design is one function in one file: see [Your own mask](my_mask.md).\n",
         ),
     ),
     "scenes": Gallery(
@@ -247,18 +258,12 @@ GALLERIES = {
         "16 samples of",
         (
             "# Scene families\n",
-            "Written by `docs/galleries.py`; `flatlight scenes` prints the same lists and with `--thumbnails all.png` draws "
-            "such images; `flatlight render FILE` draws the scenes of a configuration: as a contact sheet, an animation "
-            "(`--output clips.gif`) or linear values (`--output sample.exr`).\n",
+            "Written by `docs/pictures.py scenes`; `flatlight scenes` prints the same lists and with `--thumbnails all.png` "
+            "draws such images; `flatlight render FILE` draws the scenes of a configuration: as a contact sheet, an "
+            "animation (`--output clips.gif`) or linear values (`--output sample.exr`).\n",
             f"Each sheet: {SAMPLES} samples of {SIDE} x {SIDE} pixels and their depth; of clips {FRAMES} frames and one "
             "depth. One radiance is white in all of a sheet, and stands on it.\n",
-            "Your own family is one function in one file: `./my_scenes.py:name`, or a file put into `scenes/`.\n",
-            "Images with depth of your own need no code: `scene: {source: rgb_depth, path: middlebury, images: '*/im0.png', "
-            "depths: '*/disp0.pfm', depth: {type: disparity}, intrinsics_file: calib.txt, scale: 0.1}` reads Middlebury's "
-            "scenes at a tenth of their size, `{source: rgb_depth, path: set, images: rgb, depths: depth, depth: {type: "
-            "metric, unit: mm}}` two folders of the same names or numbers, and `path: pairs.csv` a table with the columns "
-            "`image` and `depth`. `flatlight import --check FOLDER` says what a folder looks like, how surely and why, and "
-            "prints the section to paste.\n",
+            "Your own family is one function in one file: see [Your own scenes](my_scenes.md).\n",
         ),
     ),
 }
@@ -266,26 +271,3 @@ GALLERIES = {
 
 def _cell(words: str) -> str:
     return words.replace("|", "\\|")
-
-
-def main() -> None:
-    """Draw what is named, or all of a gallery, and write its page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("gallery", choices=GALLERIES)
-    parser.add_argument("names", nargs="*", help="what to draw; all when left out")
-    parser.add_argument("--text", action="store_true", help="write the text alone, and draw nothing")
-    chosen = parser.parse_args()
-    gallery = GALLERIES[chosen.gallery]
-    folder = DOCS / "images" / chosen.gallery
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in [] if chosen.text else chosen.names or gallery.examples:
-        path = folder / f"{name}{gallery.suffix}"
-        with warnings.catch_warnings(record=True) as heard:
-            warnings.simplefilter("always")
-            gallery.draw(name, path)
-        print(f"{path} ({path.stat().st_size / 1e3:.0f} kB)", *(str(item.message) for item in heard), sep="\n  ")
-    (DOCS / f"{chosen.gallery}.md").write_text(gallery.text(chosen.gallery), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,80 +1,112 @@
-"""Makes the images of the README from a data set: ``uv run python docs/pictures.py out/flying_things``.
+"""Makes the pictures of the site: ``uv run --extra learn python docs/pictures.py KIND [NAME ...]``.
 
-``capture.png``: scene, depth, PSF and measurement of one sample. ``refocus.png``: the same measurement, Wiener-filtered with
-the PSFs of four depths: each brings other objects into focus, so one capture holds a 3D scene.
+``examples``: runs scripts of ``docs/examples``, each in an empty folder, and keeps what they draw.
+``designs``, ``scenes``: the galleries, pages and all (``--text`` writes the pages alone).
+``front``: the two pictures of the first page, from the data set of the default configuration, whose folder is named.
+``others``: prints which command draws each of the others; evaluations take hours.
 """
 
 from __future__ import annotations
 
+import argparse
+import os
+import shutil
+import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
-import numpy as np
+from galleries import GALLERIES
 from PIL import Image
 
-from psf_library import load_psf_stack
-from simulator.colour import linear_to_srgb
-from simulator.dataset import open_dataset
-from simulator.plots.drawing import depth_colours
+DOCS = Path(__file__).parent
+IMAGES, SCRIPTS = DOCS / "images", DOCS / "examples"
+HEIGHT, GAP, WIDEST, QUALITY = 256, 8, 1400, 85
 
-INDEX, PLANES, NOISE_TO_SIGNAL = 7, (1, 8, 15, 23), 3e-4
-HEIGHT, GAP = 256, 8
-OUT = Path(__file__).parent / "images"
+EXAMPLES = {  # what each script writes, to be shown side by side as docs/images/examples/NAME.webp
+    "light_path.py": ["light_path.png"],
+    "my_mask.sh": ["my_mask.png"],
+    "my_scenes.sh": ["my_scenes.png"],
+    "my_capture.sh": ["capture.png", "found/image.png"],
+    "depth.sh": ["test_s00000000_flatnet3d/image.png", "test_s00000000_flatnet3d/depth.png"],
+    "video.sh": ["test_s00000000_videonet/film.png"],
+    "moving_3d.sh": ["test_s00000000_videonet3d/film.png"],
+    "activity.sh": ["test_s00000000_activitynet/film.png"],
+    "shutter.sh": ["figures/flashes_along_the_columns.png"],
+    "shards.sh": ["out/flying_things_64/contact_sheet.png"],
+}
+OTHERS = {  # the command that draws it, and its file; the headers of the presets name what comes before an evaluation
+    "scenes.webp": "flatlight scenes --thumbnails scenes.png",
+    "reconstructions.png": "flatlight evaluate evaluate_64.yaml: montage.png",
+    "clips.webp": "flatlight evaluate evaluate_video_64.yaml: films.webp",
+    "moving_3d.webp": "flatlight evaluate evaluate_moving_3d_64.yaml: films.webp",
+    "activity.webp": "flatlight evaluate evaluate_activity_64.yaml: the sheet of predictions",
+    "report.webp": "flatlight generate sim_config.yaml: report.html, in a browser window of 1600 x 696",
+}
+FRONT = ["capture.png", "refocus.png"]
 
 
-def wiener(measurement: np.ndarray, psf: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return the image ``(h, w)`` that a Wiener filter finds in one channel of a measurement.
+def run(name: str, folder: Path, *arguments: str) -> None:
+    """Run a script of `docs/examples` in a folder, with its neighbours and the default configuration beside it.
 
-    Half the sensor's size is added on every side, fading to black: no light wraps around, no border rings.
+    Raises:
+        CalledProcessError: it ended with another status than 0.
     """
-    border = tuple(size // 2 for size in measurement.shape)
-    image = np.pad(measurement, [(size, size) for size in border], mode="linear_ramp")
-    kernel = np.zeros(image.shape)
-    kernel[: psf.shape[0], : psf.shape[1]] = psf
-    kernel = np.fft.rfft2(np.roll(kernel, (-(psf.shape[0] // 2), -(psf.shape[1] // 2)), (0, 1)))
-    power = np.abs(kernel) ** 2
-    filtered = np.fft.rfft2(image) * kernel.conj() / (power + NOISE_TO_SIGNAL * power.max())
-    found = np.fft.irfft2(filtered, image.shape)
-    top, left = ((have - want) // 2 for have, want in zip(found.shape, shape, strict=True))
-    return found[top : top + shape[0], left : left + shape[1]]
+    shutil.copytree(SCRIPTS, folder, dirs_exist_ok=True)
+    shutil.copy(DOCS.parent / "sim_config.yaml", folder)
+    if name.endswith(".sh"):
+        (folder / "sim_config.yaml").unlink()  # `flatlight init` writes it
+    shell = ["bash", "-e"] if name.endswith(".sh") else [sys.executable]
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    subprocess.run([*shell, name, *arguments], cwd=folder, env=os.environ | {"PATH": path}, check=True)
 
 
-def encode(linear: np.ndarray) -> np.ndarray:
-    """Return linear light, its 99th percentile as white, as 8-bit sRGB."""
-    scaled = np.clip(linear / np.percentile(linear, 99), 0, 1).astype(np.float32)
-    return (linear_to_srgb(scaled) * 255).round().astype(np.uint8)
-
-
-def save(pictures: list[np.ndarray], name: str) -> None:
-    """Save images side by side."""
-    tiles = [
-        Image.fromarray(p).resize((round(p.shape[1] * HEIGHT / p.shape[0]), HEIGHT), Image.Resampling.LANCZOS)
-        for p in pictures
-    ]
-    sheet = Image.new("RGB", (sum(t.width + GAP for t in tiles) - GAP, HEIGHT), "white")
+def drawn(name: str, folder: Path) -> Image.Image:
+    """Return what an example drew in a folder as one picture."""
+    tiles = [Image.open(folder / file).convert("RGB") for file in EXAMPLES[name]]
+    if len(tiles) > 1:
+        tiles = [
+            tile.resize((round(tile.width * HEIGHT / tile.height), HEIGHT), Image.Resampling.BICUBIC) for tile in tiles
+        ]
+    sheet = Image.new("RGB", (sum(tile.width + GAP for tile in tiles) - GAP, tiles[0].height), "white")
     left = 0
     for tile in tiles:
         sheet.paste(tile, (left, 0))
         left += tile.width + GAP
-    OUT.mkdir(exist_ok=True)
-    sheet.save(OUT / name, optimize=True)
-    print(OUT / name)
+    sheet.thumbnail((WIDEST, 10 * WIDEST))
+    return sheet
 
 
-def main(path: str) -> None:
-    """Draw both images of one sample."""
-    stack, sample = load_psf_stack(path), open_dataset(path)[INDEX]
-    scene, depth_m, valid = sample.rgb[0], sample.depth_m[0], sample.valid[0]
-    depth = depth_colours(depth_m, valid, float(depth_m.min()), float(depth_m.max()))
-    psf = np.sqrt(np.moveaxis(stack.values[PLANES[1]], 0, -1))
-    save([encode(scene), depth, encode(psf**2), encode(np.moveaxis(sample.measurement, 0, -1))], "capture.png")
-    focused = [
-        np.stack([wiener(m, h, depth_m.shape) for m, h in zip(sample.measurement, stack.values[k], strict=True)], -1)
-        for k in PLANES
-    ]
-    save([encode(np.clip(picture, 0, None)) for picture in focused], "refocus.png")
-    print("depths in cm:", [round(float(stack.depths_m[k]) * 100, 1) for k in PLANES])
+def example_picture(name: str) -> Path:
+    """Return where the picture of an example lies."""
+    return IMAGES / "examples" / f"{Path(name).stem}.webp"
+
+
+def main() -> None:
+    """Make what is named, or all of a kind."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kind", choices=["examples", "front", "others", *GALLERIES])
+    parser.add_argument("names", nargs="*", help="what to draw; all when left out")
+    parser.add_argument("--text", action="store_true", help="write a gallery's page alone, and draw nothing")
+    chosen = parser.parse_args()
+    if chosen.kind == "others":
+        print(*(f"{picture}: {command}" for picture, command in OTHERS.items()), sep="\n")
+    elif chosen.kind in GALLERIES:
+        GALLERIES[chosen.kind].make(chosen.kind, chosen.names, text_only=chosen.text)
+    else:
+        for name in ["refocus.py"] if chosen.kind == "front" else chosen.names or EXAMPLES:
+            with tempfile.TemporaryDirectory() as folder:
+                if chosen.kind == "front":
+                    run(name, Path(folder), str(Path(*chosen.names).resolve()), "7")
+                    for picture in FRONT:
+                        shutil.copy(Path(folder) / picture, IMAGES / picture)
+                else:
+                    run(name, Path(folder))
+                    path = example_picture(name)
+                    path.parent.mkdir(exist_ok=True)
+                    drawn(name, Path(folder)).save(path, quality=QUALITY, method=6)
+                    print(f"{path} ({path.stat().st_size / 1e3:.0f} kB)")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main()

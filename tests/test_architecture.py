@@ -93,8 +93,28 @@ def test_no_arrow_leads_upwards(arrows: dict[str, set[str]]) -> None:
     assert not wrong
 
 
-@pytest.mark.parametrize("page", ["README.md", *sorted(f"docs/{page.name}" for page in (TOP / "docs").glob("*.md"))])
-def test_links_lead_somewhere(page: str) -> None:
-    file = TOP / page
-    targets = re.findall(r"\]\((?!https?://|#|mailto:)([^)#\s]+)", file.read_text())
-    assert [target for target in targets if not (file.parent / target).exists()] == []
+PAGES = [
+    TOP / "README.md",
+    TOP / "CONTRIBUTING.md",
+    TOP / "benchmarks" / "README.md",
+    *sorted((TOP / "docs").rglob("*.md")),
+]
+
+
+def _places(page: Path) -> set[str]:
+    """Return the anchors of a page's headings, as code hosts name them."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(TOP).as_posix())
+def test_links_lead_somewhere(page: Path) -> None:
+    """Where the repository is read; the site follows its own links when it is built."""
+    lost = []
+    for path, place in re.findall(
+        r"\]\((?!https?://|mailto:)([^)#\s]*)#?([^)\s]*)\)", page.read_text(encoding="utf-8")
+    ):
+        target = page.parent / path if path else page
+        if not target.exists() or (place and place not in _places(target)):
+            lost.append(f"{path}#{place}")
+    assert lost == []

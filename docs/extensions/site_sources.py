@@ -29,18 +29,20 @@ def point_to_pages(app: Sphinx, document: nodes.document) -> None:
     ):
         if link.get("reftype") != "myst":
             continue
-        base = Path(app.srcdir) if link.get("refdomain") == "doc" else folder
-        path = (base / link["reftarget"]).resolve()
-        name = path.relative_to(TOP).as_posix() if path.is_relative_to(TOP) else ""
-        if name in PAGES or name + ".md" in PAGES:
-            docname = PAGES.get(name) or PAGES[name + ".md"]
-        elif name and path.exists():
-            docname = f"{FOLDER}/{name}"
+        target, _, place = link["reftarget"].partition("#")
+        if link.get("refdomain") == "doc":  # the name of a page, without its suffix, as Sphinx takes it
+            bases, target = [Path(app.srcdir)], target + ".md"
+        else:  # a page that includes one of the top folder has that one's links, too
+            bases = [folder, TOP]
+        path = next((base / target for base in bases if target and (base / target).exists()), None)
+        name = path.resolve().relative_to(TOP).as_posix() if path else ""
+        if name in PAGES:
+            link["reftarget"], link["refdomain"] = PAGES[name], "doc"
+            link["reftargetid"] = link.get("reftargetid") or place or None
+        elif name and link.get("refdomain") != "doc":
             _shown(app).add(name)
-        else:
-            continue
-        uri = app.builder.get_relative_uri(app.env.docname, docname)
-        link.replace_self(nodes.reference("", "", *link.children, internal=True, refuri=uri))
+            uri = app.builder.get_relative_uri(app.env.docname, f"{FOLDER}/{name}")
+            link.replace_self(nodes.reference("", "", *link.children, internal=True, refuri=uri))
 
 
 def pages(app: Sphinx) -> Iterator[tuple[str, dict[str, Any], str]]:
@@ -62,7 +64,7 @@ def pages(app: Sphinx) -> Iterator[tuple[str, dict[str, Any], str]]:
 def _entries(app: Sphinx, folder: str) -> Iterator[str]:
     """Yield what a folder holds: its modules and packages, linked where a page of the site links them, too."""
     for path in sorted((TOP / folder).iterdir()):
-        if path.name == "__init__.py" or not (path.suffix == ".py" or (path / "__init__.py").exists()):
+        if path.name == "__init__.py" or not (path.suffix in (".py", ".sh") or (path / "__init__.py").exists()):
             continue
         name, words = f"{folder}/{path.name}", f"<code>{path.name}</code>"
         if name in _shown(app):
@@ -71,7 +73,7 @@ def _entries(app: Sphinx, folder: str) -> Iterator[str]:
 
 
 def _first_line(file: Path) -> str:
-    words = ast.get_docstring(ast.parse(file.read_bytes())) if file.exists() else None
+    words = ast.get_docstring(ast.parse(file.read_bytes())) if file.suffix == ".py" and file.exists() else None
     return html.escape((words or "").partition("\n")[0])
 
 

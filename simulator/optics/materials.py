@@ -26,7 +26,7 @@ class Material:
 
     Attributes:
         name: how it is written in sim_config.yaml, or the name of its file.
-        formula: see :func:`simulator.optics.materials.refractive_index`.
+        formula: see `refractive_index`.
         coefficients: of the formula; lengths in micrometres.
         range_m: shortest and longest wavelength of the data, metres.
         source: citation; ``nominal`` in it marks a stand-in, and an absorption that is left out is said.

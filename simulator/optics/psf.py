@@ -40,7 +40,7 @@ def plain_psf(
     """Return the PSF of one wavelength and depth by the plain formula; the rest of this file gives the same, fast.
 
     A point source at depth z on the axis lights the mask, whose field crosses the distance d to the sensor, where every
-    pixel collects the intensity that falls on it:
+    pixel collects the intensity that falls on it::
 
         U(x, y) = t(x, y) (z / r) exp(ik (r - z)),  r^2 = x^2 + y^2 + z^2
         PSF = integral over a pixel of |angular spectrum of U over d|^2 / pixel area

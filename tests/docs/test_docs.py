@@ -1,4 +1,4 @@
-"""The galleries say what designs and scene families say of themselves; the README's family and SLURM's script work."""
+"""The galleries say what designs and scene families say of themselves; the site's family and SLURM's script work."""
 
 import os
 import re
@@ -14,7 +14,7 @@ from PIL import Image
 from psf_library import load_mask
 from simulator.plugins import available, import_file, resolve
 
-TOP = Path(__file__).resolve().parents[1]
+TOP = Path(__file__).resolve().parents[2]
 DOCS = TOP / "docs"
 # Largest number of bytes, least and greatest width of an image.
 IMAGES = {"designs": (150_000, 720, 720), "scenes": (250_000, 800, 1500)}
@@ -41,7 +41,7 @@ def test_every_plugin_is_shown(galleries, name: str) -> None:
 
 @pytest.mark.parametrize("name", IMAGES)
 def test_the_lists_of_parameters_are_the_plugins_own(galleries, name: str) -> None:
-    """Fails when a plugin's parameters changed since: run docs/galleries.py NAME --text, or let it draw them anew."""
+    """Fails when a plugin's parameters changed since: run docs/pictures.py NAME --text, or let it draw them anew."""
     assert (DOCS / f"{name}.md").read_text(encoding="utf-8") == galleries.GALLERIES[name].text(name)
 
 
@@ -66,14 +66,12 @@ def test_the_families_take_their_examples_parameters_files_and_view(galleries, t
         plugin.function(view, **plugin.bind(shown.parameters), renderer=Renderer("scalar_rgb"))
 
 
-def test_the_readme_s_family_takes_the_default_file_s_keys_and_gives_a_good_image(tmp_path: Path) -> None:
+def test_the_family_of_the_examples_takes_the_default_file_s_keys_and_gives_a_good_image(tmp_path: Path) -> None:
     """Stripes and shading on a wall that is neither black nor white; without the margin, the image alone is rendered."""
     from simulator.assembly import Assembly
     from simulator.config import load_config
 
-    blocks = re.findall(r"```python\n(.*?)```", (TOP / "README.md").read_text(encoding="utf-8"), re.DOTALL)
-    (code,) = [block for block in blocks if "def marbles(" in block]
-    (tmp_path / "my_scenes.py").write_text(code, encoding="utf-8")
+    shutil.copy(DOCS / "examples" / "my_scenes.py", tmp_path)
     shutil.copy(TOP / "sim_config.yaml", tmp_path)
     config = load_config(tmp_path / "sim_config.yaml", ["scene.family=./my_scenes.py:marbles", "scene.margin=0"])
     clip = Assembly(config, backend="scalar_rgb").source.clip(0, np.random.default_rng(1))
@@ -87,6 +85,12 @@ def test_the_readme_s_family_takes_the_default_file_s_keys_and_gives_a_good_imag
     marble = clip.depth_m[0] < 0.9 * clip.depth_m.max()
     assert 0.1 < marble.mean() < 0.6
     assert clip.depth_m[0][marble].std() > 0.01
+
+
+def test_the_light_path_of_the_readme_is_that_of_the_example() -> None:
+    (block,) = re.findall(r"```python\n(.*?)```", (TOP / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    example = (DOCS / "examples" / "light_path.py").read_text(encoding="utf-8").splitlines()
+    assert [line for line in block.splitlines() if line not in example] == []
 
 
 def test_slurm_s_array_has_a_task_for_every_shard(tmp_path: Path) -> None:

@@ -1,0 +1,2 @@
+flatlight init --preset video_thesis
+flatlight shutter video_thesis.yaml --figures figures

@@ -1,0 +1,46 @@
+"""The scripts of docs/examples run, and draw the pictures that the site shows of them."""
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+sys.path.insert(0, str(DOCS))
+
+import pictures  # noqa: E402  how the site's pictures are made
+
+PAGES = {page.name: page.read_text(encoding="utf-8") for page in DOCS.glob("*.md")}
+
+
+def test_every_picture_is_made_by_something_and_shown() -> None:
+    made = {pictures.example_picture(name).relative_to(pictures.IMAGES).as_posix() for name in pictures.EXAMPLES}
+    made |= set(pictures.FRONT) | set(pictures.OTHERS)
+    for name, gallery in pictures.GALLERIES.items():
+        made |= {f"{name}/{shown}{gallery.suffix}" for shown in gallery.examples}
+    assert {path.relative_to(pictures.IMAGES).as_posix() for path in pictures.IMAGES.rglob("*.*")} == made
+    words = "".join([*PAGES.values(), (DOCS.parent / "README.md").read_text(encoding="utf-8")])
+    assert made - set(re.findall(r"images/([\w/.]+)\)", words)) == set()
+
+
+def test_every_script_is_run_and_shown() -> None:
+    scripts = {path.name: path.read_text(encoding="utf-8") for path in pictures.SCRIPTS.iterdir() if path.is_file()}
+    called = {name for name in scripts if any(name in scripts[other] for other in pictures.EXAMPLES)}
+    assert scripts.keys() == called | set(pictures.EXAMPLES)
+    shown = {name for page in PAGES.values() for name in re.findall(r"\{literalinclude\} examples/(\S+)", page)}
+    assert shown == scripts.keys()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", pictures.EXAMPLES)
+def test_an_example_runs_and_draws_its_picture(name: str, tmp_path: Path) -> None:
+    """Another backend's noise and WebP's loss change a picture by a few codes of 255, another picture by tens."""
+    pictures.run(name, tmp_path)
+    drawn = np.asarray(pictures.drawn(name, tmp_path), np.float64)
+    with Image.open(pictures.example_picture(name)) as image:
+        shown = np.asarray(image.convert("RGB"), np.float64)
+    assert drawn.shape == shown.shape
+    assert np.abs(drawn - shown).mean() < 6
