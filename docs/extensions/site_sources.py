@@ -16,7 +16,13 @@ from sphinx import addnodes
 from sphinx.application import Sphinx
 
 TOP = Path(__file__).resolve().parents[2]
-PAGES = {"README.md": "index", "CHANGELOG.md": "changelog", "benchmarks/README.md": "benchmarks"}
+PAGES = {
+    "README.md": "index",
+    "CHANGELOG.md": "changelog",
+    "CONTRIBUTING.md": "contributing",
+    "SECURITY.md": "security",
+    "benchmarks/README.md": "benchmarks",
+}
 """Files outside the folder of the site that a page of it stands for."""
 FOLDER = "source"
 

@@ -367,7 +367,7 @@ def test_classifiers_are_evaluated_where_they_are_trained_on_data_that_are_made(
             assert one.data.shuffle_labels == (name == "ActivityNet, shuffled labels"), name
             other = {"background only": "out/activity_64_background", "global shutter": "out/activity_64_global"}
             assert one.data.train == other.get(name, "out/activity_64"), name
-    assert made["out/activity_64"] == load_config(tmp_path / "activity_64.yaml"), "which the README makes, too"
+    assert made["out/activity_64"] == load_config(tmp_path / "activity_64.yaml"), "which docs/activity.md makes, too"
     assert made["out/activity_64_global"].camera.shutter.type == "global"
     assert made["out/activity_64_background"].scene.only_background
 
