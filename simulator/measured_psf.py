@@ -27,7 +27,9 @@ def measured_stack(
     camera: CameraGeometry,
     sensor: Sensor,
 ) -> PsfStack:
-    """Read the measured stack and, where other planes are asked for, interpolate it.
+    """Read the measured stack and, where other planes are asked for, register its planes and interpolate them.
+
+    Only what was measured (in a laboratory or a simulated one) is registered, and only once.
 
     Args:
         config: the configuration.
@@ -36,9 +38,11 @@ def measured_stack(
         sensor: whose pixels the PSF's must become.
 
     Raises:
-        InputError: for unreadable files, pixels or channels that are not the camera's, or planes outside the measured range.
+        InputError: for unreadable files, pixels or channels that are not the camera's, planes outside the measured range, or
+            ones whose stated error is too great.
     """
     from simulator.optics.interpolation import interpolate_stack
+    from simulator.optics.registration import register_stack
 
     if isinstance(chosen, StoredPsf):
         stack = read_psf_stack(_folder(config, chosen))
@@ -46,10 +50,22 @@ def measured_stack(
         stack = with_channels(stack, camera.response.channels, "psf.measured")
     else:
         stack = _from_pictures(config, chosen, sensor, camera.response.channels)
-    if chosen.planes is None:
+    planes = chosen.planes
+    if planes is None:
         return stack
+    registration = None
+    measured = stack.provenance.get("kind") in ("measured", "captured") and "registration" not in stack.provenance
+    if measured and len(stack.depths_m) > 1 and (planes.registration or planes.equal_exposure):
+        registration = register_stack(
+            stack, camera.mask_to_sensor_m, lateral=planes.registration, exposure=planes.equal_exposure
+        )
     return interpolate_stack(
-        stack, chosen.planes.depths_m, camera.mask_to_sensor_m, extrapolate=chosen.planes.extrapolate
+        stack,
+        planes.depths_m,
+        camera.mask_to_sensor_m,
+        extrapolate=planes.extrapolate,
+        registration=registration,
+        accept_error=planes.accept_error,
     )
 
 

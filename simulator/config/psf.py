@@ -88,6 +88,16 @@ class InterpolatedPlanes(Planes):
     extrapolate: bool = Field(
         default=False, description="whether planes outside the measured range are allowed: the outermost one, rescaled"
     )
+    registration: bool = Field(
+        default=True,
+        description="whether the lateral shifts between measured planes (the source was moved by hand) are found and removed",
+    )
+    equal_exposure: bool = Field(
+        default=True, description="whether differences in exposure between measured planes are found and removed"
+    )
+    accept_error: Annotated[float, Range(1e-6, 100)] = Field(
+        default=1.0, description="greatest stated error (relative L2) of a plane; a stack with a worse one is refused"
+    )
 
 
 def check_increasing(depths_cm: Sequence[float]) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
 from simulator.io.files import write_atomic
+from simulator.optics.registration import registration_shift
 from simulator.optics.stack import PsfStack
 from simulator.plots.drawing import figure_png, new_figure
 from simulator.plots.psf import FAINT, INK, SMALL, DepthView, draw_psfs, shown_depths
@@ -19,8 +20,6 @@ from simulator.text import length, share
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-_NEWTON_STEPS = 8
 
 
 @dataclass(frozen=True)
@@ -60,35 +59,6 @@ def captured_differences(nominal: PsfStack, captured: PsfStack) -> list[DepthDif
             )
         )
     return differences
-
-
-def registration_shift(reference: NDArray[np.float64], image: NDArray[np.float64]) -> tuple[float, float]:
-    """Return how far an image is shifted against a reference, x and y, parts of a pixel included.
-
-    The maximum of the cross-correlation, found to the pixel and refined by Newton's steps on its Fourier series (Guizar-
-    Sicairos, Thurman and Fienup, Opt. Lett. 33, 156, 2008). Unlike a centroid it does not follow noise far from the PSF.
-
-    Args:
-        reference: ``(H, W)``.
-        image: ``(H, W)``; it must not be shifted by more than half the width.
-
-    Example:
-        >>> spot = np.exp(-(np.arange(-10, 11)[:, None] ** 2 + np.arange(-10, 11) ** 2) / 8.0)
-        >>> registration_shift(spot, np.roll(spot, (1, -2), (0, 1)))
-        (-2.0, 1.0)
-    """
-    fy, fx = (np.fft.fftfreq(n) for n in reference.shape)
-    cross = np.conj(np.fft.fft2(reference)) * np.fft.fft2(image)
-    peak = np.unravel_index(np.argmax(np.fft.ifft2(cross).real), cross.shape)
-    shift = np.array([(p + n // 2) % n - n // 2 for p, n in zip(peak, cross.shape, strict=True)], np.float64)
-    frequencies = np.stack(np.broadcast_arrays(fy[:, None], fx[None, :])) * 2 * np.pi
-    for _ in range(_NEWTON_STEPS):
-        terms = cross * np.exp(1j * np.tensordot(shift, frequencies, 1))
-        gradient = np.array([-np.sum(f * terms.imag) for f in frequencies])
-        hessian = np.array([[-np.sum(f * g * terms.real) for g in frequencies] for f in frequencies])
-        shift = shift - np.linalg.solve(hessian, gradient)
-    row, column = (float(np.round(value, 9)) for value in shift)
-    return column + 0.0, row + 0.0  # no minus zero
 
 
 def describe_captured(nominal: PsfStack, captured: PsfStack) -> str:

@@ -58,6 +58,8 @@ def psf_facts(
             facts.append(("channels", "one grey PSF for all"))
     if "interpolation" in provenance:
         facts.append(("interpolated", _interpolation(provenance["interpolation"])))
+    if "registration" in provenance:
+        facts.append(("registered", _registration(provenance["registration"])))
     return facts
 
 
@@ -97,6 +99,15 @@ def _interpolation(record: dict[str, Any]) -> str:
     beyond = sum(plane["extrapolated"] for plane in record["planes"])
     text += f", {beyond} beyond them" if beyond else ""
     return text + (", error unknown" if None in errors else f", error up to {share(max(errors))}")
+
+
+def _registration(record: dict[str, Any]) -> str:
+    """Say how far the planes of a measured stack were moved, and how differently they were exposed."""
+    text = f"planes moved by up to {np.linalg.norm(record['shifts_px'], axis=1).max():.2g} px"
+    low, high = min(record["exposures"]), max(record["exposures"])
+    text += f", exposures of {share(low)} to {share(high)} made equal" if low < high else ""
+    unlike = [f"{k + 1} and {j + 1}" for k, j in record["unlike_neighbours"]]
+    return text + (f", but planes {', '.join(unlike)} are unlike and were not" if unlike else "")
 
 
 def _light_facts(

@@ -77,6 +77,58 @@ def test_images_at_other_planes(trial) -> None:
         build(trial, **images, planes={"depths_cm": [30]})
 
 
+def pictures(trial) -> dict:
+    """A patch of spots at three depths, each moved by hand and exposed anew, as images of a configuration."""
+    rng = np.random.default_rng(2)
+    light = np.zeros((3, 61, 61))
+    for y, x in rng.integers(-18, 18, (25, 2)):
+        light[:, 30 + y : 33 + y, 30 + x : 33 + x] += 1
+    moved = [
+        e * np.roll(plane, s, (0, 1)) for plane, e, s in zip(light, (1, 2, 0.5), ((0, 0), (5, -3), (0, 0)), strict=True)
+    ]
+    np.save(trial.folder / "moved.npy", np.stack(moved))
+    return {
+        "measured": ["moved.npy"],
+        "depths_cm": [500, 600, 700],  # so far away that nothing is magnified
+        "frame": "stored",
+        "background": "none",
+        "throughput_mm2": 1,
+    }
+
+
+def test_measured_planes_are_registered_and_their_exposures_made_equal(trial) -> None:
+    images = pictures(trial)
+    found = build(trial, **images, planes={"depths_cm": [500, 600, 650]})
+    record = found.provenance["registration"]
+    # Between planes 1 m apart m changes by 6e-5: a thousandth of a pixel here.
+    np.testing.assert_allclose(record["shifts_px"], [[0, 0], [-3, 5], [0, 0]], atol=5e-3)
+    np.testing.assert_allclose(np.divide(record["exposures"], record["exposures"][0]), [1, 2, 0.5], rtol=2e-3)
+    assert max(plane["error"] for plane in found.provenance["interpolation"]["planes"]) < 0.03
+    still = build(trial, **images, planes={"depths_cm": [500], "registration": False, "equal_exposure": False})
+    assert "registration" not in still.provenance
+
+
+def test_a_plane_that_is_of_no_use_is_refused_unless_asked_for(trial) -> None:
+    raw = {"depths_cm": [550], "registration": False, "equal_exposure": False}
+    with pytest.raises(InputError, match=r"^accept_error: .*psf\.planes\.accept_error"):
+        build(trial, **pictures(trial), planes=raw)
+    (plane,) = build(trial, **pictures(trial), planes=raw | {"accept_error": 5}).provenance["interpolation"]["planes"]
+    assert plane["error"] > 1
+
+
+@pytest.mark.parametrize(("kind", "registered"), [("computed", False), ("captured", True)])
+def test_stored_stacks_are_registered_only_where_they_were_measured(trial, stored, kind, registered) -> None:
+    write_psf_stack(trial.folder / "other", replace(stored, provenance=stored.provenance | {"kind": kind}))
+    found = build(trial, measured="other", planes={"depths_cm": [5]})
+    assert ("registration" in found.provenance) == registered
+
+
+def test_a_stack_is_registered_only_once(trial, stored) -> None:
+    told = {"kind": "measured", "registration": {"by": "hand"}}
+    write_psf_stack(trial.folder / "other", replace(stored, provenance=stored.provenance | told))
+    assert build(trial, measured="other", planes={"depths_cm": [5]}).provenance["registration"] == {"by": "hand"}
+
+
 def test_mistakes_are_named(trial, stored) -> None:
     with pytest.raises(InputError, match="nowhere: "):
         build(trial, measured="nowhere")
