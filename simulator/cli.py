@@ -10,7 +10,19 @@ from typing import Annotated
 import typer
 
 from simulator import __version__
-from simulator.commands import compare, datasets, exporting, importing, masks, psf, render, reporting, scenes, shutter
+from simulator.commands import (
+    calibrating,
+    compare,
+    datasets,
+    exporting,
+    importing,
+    masks,
+    psf,
+    render,
+    reporting,
+    scenes,
+    shutter,
+)
 from simulator.errors import InputError
 from simulator.text import described, show
 
@@ -54,6 +66,7 @@ _OWN = (
     datasets.merge,
     render.render,
     psf.psf,
+    calibrating.calibrate,
     shutter.shutter,
     compare.compare,
     masks.masks,

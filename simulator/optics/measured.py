@@ -95,7 +95,7 @@ def load_measured_psf(
             )
         shape = image.shape
         light, record = _clean(image, level, binning, name)
-        planes.append(_rotated(light) if frame == "physical" else light)
+        planes.append(rotated(light) if frame == "physical" else light)
         records.append(record)
     values = np.stack(planes)
     if channels is None:
@@ -109,7 +109,7 @@ def load_measured_psf(
             "removed; check the image, or choose another background",
         )
     scale = throughput_m2 / (energy.mean() * pixel_pitch_m**2)
-    centres = [_centre_of_mass(plane) for plane in values.sum(axis=1)]
+    centres = [centre_of_mass(plane) for plane in values.sum(axis=1)]
     told = {name: value for name, value in (("cfa", cfa), ("crop", crop)) if value is not None}
     settings = {
         "kind": "measured",
@@ -228,7 +228,7 @@ def _clean(
         raise InputError(name, f"{_size(image.shape)}, smaller than one block of binning {binning}: lower the binning")
     dark = background.of(image, name)
     levels = np.broadcast_to(dark, (image.shape[0], *dark.shape[1:])).mean(axis=(-2, -1), dtype=np.float64)
-    light = _binned(image, binning) - (_binned(dark, binning) if dark.shape[-1] > 1 else dark)
+    light = binned(image, binning) - (binned(dark, binning) if dark.shape[-1] > 1 else dark)
     negative, total = -np.minimum(light, 0).sum(axis=(-2, -1)), np.abs(light).sum(axis=(-2, -1))
     record = {
         "file": name,
@@ -240,7 +240,7 @@ def _clean(
     return np.maximum(light, 0), record
 
 
-def _binned(image: NDArray[Any], binning: int) -> NDArray[np.float64]:
+def binned(image: NDArray[Any], binning: int) -> NDArray[np.float64]:
     """Mean over blocks of the largest part that divides, in the image's centre; ``(C, H, W)`` -> ``(C, h, w)``."""
     if binning == 1:
         return image.astype(np.float64)
@@ -250,7 +250,7 @@ def _binned(image: NDArray[Any], binning: int) -> NDArray[np.float64]:
     return part.reshape(-1, rows, binning, columns, binning).mean(axis=(2, 4), dtype=np.float64)
 
 
-def _rotated(image: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotated(image: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotate ``(C, H, W)`` by 180 degrees about sample ``(H // 2, W // 2)``.
 
     An even size has one row more before the origin than behind it; that outermost row has no counterpart and is left
@@ -260,7 +260,7 @@ def _rotated(image: NDArray[np.float64]) -> NDArray[np.float64]:
     return image[:, rows:, columns:][:, ::-1, ::-1]
 
 
-def _centre_of_mass(plane: NDArray[np.float64]) -> tuple[float, float]:
+def centre_of_mass(plane: NDArray[np.float64]) -> tuple[float, float]:
     """Row and column of the centre of mass from the origin, samples."""
     row, column = (np.arange(n) - n // 2 for n in plane.shape)
     return float(plane.sum(1) @ row / plane.sum()), float(plane.sum(0) @ column / plane.sum())

@@ -104,6 +104,14 @@ def match(
     )
 
 
+def likeness(reference: NDArray[np.floating[Any]], moving: NDArray[np.floating[Any]], scale: float) -> float:
+    """Return the correlation of a band-passed image with another, magnified, at the best shift in whole pixels."""
+    fixed, other, origin, _ = _binned(reference, moving)
+    fixed, other = _band(fixed, scale), _warped(_band(other), scale, np.zeros(2), origin)
+    norms = float(np.linalg.norm(fixed) * np.linalg.norm(other))
+    return float(np.fft.ifft2(_cross(other, fixed)).real.max()) / norms if norms > 0 else 0.0
+
+
 def registration_shift(reference: NDArray[np.float64], image: NDArray[np.float64]) -> tuple[float, float]:
     """Return how far an image is shifted against a reference, x and y, parts of a pixel included.
 
@@ -259,7 +267,7 @@ def register_stack(
     shifts = chained_shifts(matches, m) if lateral else np.zeros((len(grey), 2))
     exposures = np.ones(len(grey))
     if exposure:
-        exposures = _exposures(grey, shifts, m, stack.depths_m, stack.pixel_pitch_m)
+        exposures = relative_exposures(grey, shifts, m, stack.depths_m, stack.pixel_pitch_m)
     return Registration(shifts, exposures, matches)
 
 
@@ -284,22 +292,35 @@ def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) 
     return float(values[order][np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)])
 
 
-def _exposures(
+def relative_exposures(
     grey: NDArray[np.float64],
     shifts_px: NDArray[np.float64],
     m: NDArray[np.float64],
     depths_m: NDArray[np.float64],
     pitch_m: float,
+    totals: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
+    """Return the factor by which each plane is too bright, from the light of neighbours laid on each other.
+
+    Args:
+        grey: ``(K, H, W)`` light.
+        shifts_px: ``(K, 2)`` where the planes lie.
+        m: ``(K,)`` their magnifications.
+        depths_m: ``(K,)``.
+        pitch_m: of the pixels, metres.
+        totals: ``(K,)`` light of the planes before noise below zero was cut off, which adds light; None takes what is there.
+    """
+    energy = grey.sum(axis=(1, 2))
+    light = energy if totals is None else totals
     log_ratio = np.zeros(len(m))
     for k in reversed(range(len(m) - 1)):
         scale = m[k] / m[k + 1]
         other = magnified(grey[k + 1], scale, shifts_px[k] - scale * shifts_px[k + 1])
         rim = [_irradiance(grey[k + 1], m[k + 1], depth, pitch_m) for depth in depths_m[k : k + 2]]
-        log_ratio[k] = log_ratio[k + 1] + np.log(grey[k].sum() / rim[0] / (other.sum() / rim[1]))
+        reaches = other.sum() / energy[k + 1]
+        log_ratio[k] = log_ratio[k + 1] + np.log(light[k] / rim[0] / (light[k + 1] * reaches / rim[1]))
     exposures = np.exp(log_ratio)
-    energy = grey.sum(axis=(1, 2))
-    return exposures * np.mean(energy / exposures) / energy.mean()  # the stack's throughput stays
+    return exposures * np.mean(light / exposures) / light.mean()  # the stack's throughput stays
 
 
 def _irradiance(light: NDArray[np.float64], m: float, depth_m: float, pitch_m: float) -> float:
