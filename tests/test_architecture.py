@@ -31,6 +31,7 @@ MAY_IMPORT = {  # besides its own files
     "error_budget": {"ground", "io", "optics"},
     "design": {"ground", "io", "optics"},
     "camera": {"ground", "io", "optics"},
+    "calibrate": {"ground", "io", "optics"},
     "render": {"ground", "io"},
     "importers": {"ground", "io", "config", "assembly", "dataset"},
     "config": {"ground", "io", "camera", "optics"},

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _BIAS = 0.01
-"""Relative error of d by a mask that focuses as a whole: d / f of its mean power 1 / f, which images alone do not tell. Simulated
-PhlatCams of 3, 2 and 1.4 mm have 0.4, 0.9 and 2.2 %, DiffuserCams of 5 and 2.5 mm 0.6 and 2.1 %."""
+"""Relative error of d by a mask's mean power 1 / f, which is d / f and does not show in images. Simulated PhlatCams of 3, 2
+and 1.4 mm have 0.4, 0.9 and 2.2 %, DiffuserCams of 5 and 2.5 mm 0.6 and 2.1 %."""
 _SIGNIFICANT = 3.0  # standard errors
 _GOOD, _BAD = "#0072b2", "#d55e00"  # told apart by colour-blind eyes too (Okabe and Ito, 2008)
 

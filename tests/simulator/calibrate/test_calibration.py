@@ -22,8 +22,7 @@ PEAKS = [0.7, 0.5, 0.8, 0.35, 0.6, 0.75]
 def simulated(request, truth, recorded, tmp_path_factory):
     true = truth(request.param)
     folder = recorded(tmp_path_factory.mktemp(request.param) / "set", true.light, names(true.depths_m), PEAKS)
-    nominal_m = 2.2e-3 if request.param == "flatcam" else None  # the others are searched
-    return true, calibrate(folder, true.pitch_m, bits=12, nominal_m=nominal_m)
+    return true, calibrate(folder, true.pitch_m, bits=12, nominal_m=1.1 * true.distance_m)
 
 
 class TestTruth:
