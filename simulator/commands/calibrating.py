@@ -79,5 +79,5 @@ def calibrate(
     write_atomic(place / "report.html", calibration_html(found, folder.absolute().name).encode())
     print(f"\nwrote {place}; look at {place / 'report.html'}")
     print(
-        f"use it: flatlight reconstruct CAPTURE --stack {place} ..., or psf: {{measured: {place}}} in sim_config.yaml"
+        f"use it: flatlight reconstruct CAPTURE --stack {place} --method cls, or psf: {{measured: {place}}} in sim_config.yaml"
     )
