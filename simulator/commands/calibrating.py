@@ -78,6 +78,5 @@ def calibrate(
     write_atomic(place / "calibration.json", readable_json(found.record()))
     write_atomic(place / "report.html", calibration_html(found, folder.absolute().name).encode())
     print(f"\nwrote {place}; look at {place / 'report.html'}")
-    print(
-        f"use it: flatlight reconstruct CAPTURE --stack {place} --method cls, or psf: {{measured: {place}}} in sim_config.yaml"
-    )
+    print(f"use it: flatlight reconstruct CAPTURE --method cls --stack {place}")
+    print(f"or psf: {{measured: {place}}} in a configuration without a mask")
