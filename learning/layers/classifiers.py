@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.optimize import minimize_scalar
 from torch import Tensor, nn
 
 from learning.layers.convolution import Conv3d
@@ -73,6 +72,8 @@ class FrameClassifier(nn.Module):
             logits: ``(n, classes)``, at a temperature of 1.
             labels: ``(n,)``, the numbers of the true classes.
         """
+        from scipy.optimize import minimize_scalar
+
         entropy, known = nn.functional.cross_entropy, logits.double()
         # Convex in 1 / temperature, and so with a single minimum in its logarithm, too.
         found: Any = minimize_scalar(

@@ -45,7 +45,10 @@ class AxisPlan:
         """Return the PSFs with their origin (sample ``n // 2``) at 0 of the period; what is longer folds over."""
         moved = np.moveaxis(kernel, axis, 0)
         placed = np.zeros((self.length, *moved.shape[1:]), kernel.dtype)
-        np.add.at(placed, (np.arange(len(moved)) - len(moved) // 2) % self.length, moved)
+        places = (np.arange(len(moved)) - len(moved) // 2) % self.length
+        for start in range(0, len(moved), self.length):
+            part = slice(start, start + self.length)  # no place twice
+            placed[places[part]] += moved[part]
         return np.moveaxis(placed, 0, axis)
 
 

@@ -147,7 +147,7 @@ def test_a_sample_becomes_a_folder(tiny_dataset: Path, tmp_path: Path, capfd: py
 
 # What takes long to import and has no part in a reconstruction; ortools has in that of a depth by a graph cut.
 UNUSED = ["torch._dynamo", "torch._inductor", "torch.utils.tensorboard", "tensorboard", "torchvision", "lpips", "sympy"]
-UNUSED += ["skimage", "flip_evaluator", "scipy.ndimage", "scipy.signal", "scipy.interpolate", "matplotlib", "colour"]
+UNUSED += ["skimage", "flip_evaluator", "scipy", "numpy.f2py", "matplotlib", "colour"]
 UNUSED += ["mitsuba", "drjit", "ortools", "learning.train", "learning.tune.job", "learning.evaluate", "learning.config"]
 UNUSED += ["learning.metrics"]
 

@@ -1,12 +1,25 @@
-"""Memory is estimated before it is taken, within the machine's or the container's limit."""
+"""One namespace for all arrays; lengths of FFTs; memory is estimated before it is taken, within what may be used."""
 
 import sys
 
+import numpy as np
 import pytest
+import scipy.fft
 
 from simulator import arrays as memory
-from simulator.arrays import SHARE, machine_bytes, require_memory
+from simulator.arrays import SHARE, machine_bytes, namespace, next_fast_len, require_memory
 from simulator.errors import InputError
+
+
+def test_lengths_are_scipys():
+    lengths = [*range(1, 3000), 65537, 999_983, 12_345_678]
+    assert [next_fast_len(n) for n in lengths] == [scipy.fft.next_fast_len(n, real=True) for n in lengths]
+
+
+def test_arrays_of_two_kinds_are_refused():
+    torch = pytest.importorskip("torch")
+    with pytest.raises(TypeError, match="Multiple namespaces"):
+        namespace(np.ones(3), torch.ones(3))
 
 
 def test_the_estimate_is_what_numpy_would_take():
