@@ -21,15 +21,24 @@ if TYPE_CHECKING:
 
 WIDTH_INCH, DPI = 15.0, 100
 _HEADING = 14.0  # points
-_DESIGN_INCH, _CURVES_INCH, _LINE_INCH = 4.4, 4.4, 0.4
+_DESIGN_INCH, _CURVES_INCH, _LINE_INCH = 5.6, 4.4, 0.4
+_PANEL_INCH = (7.0, 7.0)  # of the page, which shows them two abreast, or one below the other where it is narrow
 # Told apart by colour-blind eyes too (Okabe and Ito, 2008); black is left to the text.
 _COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _STROKES = ("-", "--", ":", "-.")
 
 
-def design_png(candidate: Candidate) -> bytes:
-    """Return the image of one candidate: its PSFs near and far, and how alike its depths are."""
-    return _png(_DESIGN_INCH, lambda figure: _draw_design(figure, candidate))
+def design_pngs(candidate: Candidate) -> list[tuple[bytes, str]]:
+    """Return the images of one candidate, each with its description: its PSFs near and far, and how alike its depths are."""
+    figures = [new_figure(_PANEL_INCH, DPI) for _ in range(len(candidate.views) + 1)]
+    scale = draw_psfs([figure.subplots() for figure in figures[:-1]], candidate.views, candidate.pixel_pitch_m)
+    for figure in figures[:-1]:
+        figure.supxlabel(scale, x=0.01, ha="left", fontsize=SMALL, color=FAINT)
+    _draw_correlations(figures[-1].subplots(), candidate)
+    lowest = candidate.correlations.min()
+    described = [f"PSF of {candidate.name} at {view.name}" for view in candidate.views]
+    described += [f"correlation of the depths of {candidate.name}, {lowest:.2f} at the least"]
+    return [(figure_png(figure), words) for figure, words in zip(figures, described, strict=True)]
 
 
 def curves_png(candidates: Sequence[Candidate]) -> bytes:
@@ -63,14 +72,18 @@ def _draw_design(figure: FigureBase, candidate: Candidate) -> None:
     panels = figure.subplots(1, len(candidate.views) + 1)
     scale = draw_psfs(list(panels[:-1]), candidate.views, candidate.pixel_pitch_m)
     figure.supxlabel(scale, x=0.01, ha="left", fontsize=SMALL, color=FAINT)
-    image = panels[-1].imshow(candidate.correlations, vmin=0, vmax=1, cmap="viridis")
-    head(panels[-1], "Correlation of depths")
-    style(panels[-1], "depth, near to far", "")
+    _draw_correlations(panels[-1], candidate)
+
+
+def _draw_correlations(axes: Axes, candidate: Candidate) -> None:
+    image = axes.imshow(candidate.correlations, vmin=0, vmax=1, cmap="viridis")
+    head(axes, "Correlation of depths")
+    style(axes, "depth, near to far", "")
     ends = sorted({0, len(candidate.correlations) - 1})
     names = [view.name for view in candidate.views]
-    panels[-1].set_xticks(ends, names)
-    panels[-1].set_yticks(ends, names)
-    bar = figure.colorbar(image, ax=panels[-1], shrink=0.8)
+    axes.set_xticks(ends, names)
+    axes.set_yticks(ends, names)
+    bar = axes.figure.colorbar(image, ax=axes, shrink=0.8)
     bar.ax.tick_params(labelsize=SMALL, colors=INK)
     bar.outline.set_visible(False)
 
@@ -156,6 +169,8 @@ thead th:first-child, tbody th, .facts td { text-align: left; white-space: norma
 tbody tr:hover { background: var(--raised); }
 img { display: block; width: 100%; height: auto; background: #fff; border-radius: 6px; }
 figure, details { margin: 0.5rem 0; }
+.panels { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 30rem), 1fr)); gap: 1rem; }
+.panels figure { margin: 0; max-width: 40rem; }
 summary { cursor: pointer; }
 dt { font-weight: 600; margin-top: 0.6rem; }
 dd { margin-left: 0; max-width: 60rem; }
@@ -217,14 +232,12 @@ def _table(candidates: Sequence[Candidate]) -> str:
 
 
 def _section(candidate: Candidate) -> str:
-    depths = " and ".join(view.name for view in candidate.views)
-    lowest = candidate.correlations.min()
-    described = f"PSF of {candidate.name} at {depths}, and the correlation of its depths, {lowest:.2f} at the least."
+    panels = "".join(f"<figure>{_image(png, described)}</figure>" for png, described in design_pngs(candidate))
     facts = "".join(
         f'<tr><th scope="row">{escape(what)}</th><td>{escape(value)}</td></tr>' for what, value in candidate.facts
     )
     return (
-        f"<h2>{escape(candidate.name)}</h2><figure>{_image(design_png(candidate), described)}</figure>"
+        f'<h2>{escape(candidate.name)}</h2><div class="panels">{panels}</div>'
         f'<details><summary>What its stack records</summary><table class="facts">{facts}</table></details>'
     )
 

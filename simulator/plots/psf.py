@@ -133,8 +133,11 @@ def draw_sections(axes: Axes, views: list[DepthView], pitch_m: float) -> None:
     axes.set_yticks([b + part * highest for b in bases for part in (0, 1)], ["0", _number(highest)] * len(bases))
 
 
+_CURVES_SHARE = 0.6  # of the panel's height, for a curve that may be 1 anywhere; its image has the rest
+
+
 def draw_autocorrelation(axes: Axes, views: list[DepthView], pitch_m: float) -> None:
-    """Draw the autocorrelation along rows from one pixel on, and its middle as a small image."""
+    """Draw the autocorrelation along rows from one pixel on, and above the curves its middle as a small image."""
     images = [autocorrelation(view.grey) for view in views]
     for view, image, width in zip(views, images, _WIDTHS[len(views)], strict=True):
         row = image[image.shape[0] // 2, image.shape[1] // 2 :]
@@ -143,9 +146,12 @@ def draw_autocorrelation(axes: Axes, views: list[DepthView], pitch_m: float) -> 
     style(axes, "shift along a row (µm), from one pixel", "")
     axes.set_xscale("log")
     axes.set_xlim(pitch_m * 1e6, 2 * _window(views) * pitch_m * 1e6)
-    axes.set_ylim(0, 1.02)
+    axes.set_ylim(0, 1 / _CURVES_SHARE)
+    axes.set_yticks(np.linspace(0, 1, 6))
+    axes.spines["left"].set_bounds(0, 1)
     _plain_numbers(axes.xaxis, (1, 2, 5))
-    inset = axes.inset_axes((0.6, 0.56, 0.4, 0.44))
+    inset = axes.inset_axes((0.55, _CURVES_SHARE + 0.09, 0.45, 0.91 - _CURVES_SHARE))
+    inset.set_anchor("NE")
     half = min(20, *(n // 2 for n in images[-1].shape))
     rows, columns = (slice(n // 2 - half, n // 2 + half + 1) for n in images[-1].shape)
     inset.imshow(images[-1][rows, columns], cmap="magma", vmin=0, vmax=1)

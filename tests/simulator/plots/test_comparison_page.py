@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from simulator.plots.comparison import COLUMNS
-from simulator.plots.comparison_page import DPI, WIDTH_INCH, comparison_html, comparison_png, curves_png, design_png
+from simulator.plots.comparison_page import DPI, WIDTH_INCH, comparison_html, comparison_png, curves_png, design_pngs
 
 
 class Reader(HTMLParser):
@@ -66,13 +66,13 @@ def test_the_page_needs_nothing_else(page: str) -> None:
     assert {"script", "link", "iframe"}.isdisjoint(tag for tag, _ in tags)
     assert not re.search(r"https?:|url\(|@import", re.sub(r"base64,[\w+/=]+", "", page))
     images = [attributes for tag, attributes in tags if tag == "img"]
-    assert len(images) == 3
+    assert len(images) == 6  # the curves; three of the design with two depths, two of the other
     for attributes in images:
         kind, data = str(attributes["src"]).split(",")
         assert kind == "data:image/png;base64"
         with Image.open(io.BytesIO(base64.b64decode(data))) as image:
             image.load()
-        assert len(str(attributes["alt"])) > 40
+        assert len(str(attributes["alt"])) > 15
 
 
 def test_the_page_is_accessible(page: str) -> None:
@@ -95,8 +95,18 @@ def test_the_image_has_a_row_per_candidate(candidates) -> None:
             assert image.width == WIDTH_INCH * DPI
             heights.append(image.height)
             assert np.asarray(image.convert("L")).std() > 20
-    with Image.open(io.BytesIO(design_png(candidates[0]))) as row:
-        assert heights[1] - heights[0] == pytest.approx(row.height, abs=0.5 * DPI)  # and a line of the table
+    assert heights[1] - heights[0] > WIDTH_INCH * DPI / 3  # as high as three panels abreast are wide
+
+
+def test_the_page_shows_psfs_large(candidates) -> None:
+    """Each PSF has an image of its own, which stays large on a phone, of more pixels than a page shows of it."""
+    images = design_pngs(candidates[0])
+    assert len(images) == len(candidates[0].views) + 1
+    for png, _ in images:
+        with Image.open(io.BytesIO(png)) as image:
+            dark = np.asarray(image.convert("L")) < 128
+            assert dark.any(axis=0).sum() > 400
+            assert image.width >= 640  # the widest that the page's style allows
 
 
 def test_no_text_of_the_image_is_cut_off(candidates, written) -> None:

@@ -81,6 +81,20 @@ def test_nothing_overlaps_or_leaves_the_image(name, written):
         assert min(wide, high) <= 1, f"{a} and {b} overlap"  # boxes include a pixel of air
 
 
+def test_the_autocorrelations_image_covers_no_curve():
+    """A PSF of one broad blot, whose autocorrelation is high at all shifts that are drawn."""
+    y, x = np.mgrid[-20:21, -20:21]
+    blot = np.exp(-np.hypot(x, y) / 30)[None, None]
+    figure = psf_figure(PsfStack(blot, np.array([1.0]), 1e-5, ("Y",), "f"), None)
+    figure.canvas.draw()
+    (axes,) = (axes for part in figure.subfigs for axes in part.axes if axes.get_title(loc="left") == "Autocorrelation")
+    (inset,) = axes.child_axes
+    (line,) = axes.lines
+    points = axes.transData.transform(line.get_xydata())
+    assert line.get_ydata()[1] > 0.9
+    assert points[:, 1].max() < inset.get_tightbbox().y0
+
+
 def test_the_image_is_written_whole(tmp_path):
     values = np.random.default_rng(0).random((3, 3, 20, 21))
     stack = PsfStack(values, np.array([0.1, 0.2, np.inf]), 1e-5, ("R", "G", "B"), "f")
