@@ -8,7 +8,8 @@ y[c,r,x] = crop sum_t dt_t S[t,r] sum_k ( H[k,c] (*) V[t,k,c] )[r,x]
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -82,6 +83,13 @@ class ForwardModel:
         self._irradiance = np.ones(scene_shape, np.float32) if irradiance is None else irradiance
         self.scene_to_camera = np.eye(3) if scene_to_camera is None else scene_to_camera
         self._rule = depth_rule or DepthRule()
+
+    def with_values(self, values: Array) -> ForwardModel:
+        """Return the same camera with other values ``(K, C, H, W)`` of its PSFs, such as a tensor of them on a device."""
+        other, convolution = copy(self), self._convolution
+        other.stack = replace(self.stack, values=values)
+        other._convolution = StackConvolution(values, self.sensor_shape, self.scene_shape, convolution.boundary)
+        return other
 
     def forward(self, volume: Array, frame_edges_s: NDArray[np.float64] | None = None) -> Array:
         """Return the exposure ``(..., C, H, W)`` of a volume ``(T, K, ..., C, h, w)`` of mask irradiance.
