@@ -7,6 +7,8 @@ Source: Tachella et al., DeepInverse: A Python package for solving imaging inver
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -52,7 +54,8 @@ class LenslessPhysics(deepinv_physics.LinearPhysics):
         device: torch.device | str = "cpu",
     ) -> None:
         """Move the PSFs to the device, in float32, and find the norm; arguments as of `as_physics`."""
-        super().__init__(noise_model=noise_model or deepinv_physics.ZeroNoise(), device=device)
+        chosen: Any = noise_model or deepinv_physics.ZeroNoise()
+        super().__init__(noise_model=chosen, device=device)
         values = torch.as_tensor(to_numpy(model.stack.values), dtype=torch.float32, device=device)
         self.model, self.edges_s = model.with_values(values), frame_edges_s
         planes, frames = len(values), 1 if frame_edges_s is None else len(frame_edges_s) - 1
@@ -62,14 +65,14 @@ class LenslessPhysics(deepinv_physics.LinearPhysics):
         self.norm, self.unit, self.offset = 1.0, 1.0, 0.0
         self.norm = self._largest_singular_value(device)
 
-    def A(self, x: Tensor, **_: object) -> Tensor:
+    def A(self, x: Tensor, **_: object) -> Tensor:  # noqa: N802  (deepinv's name)
         """Return ``(B, C, H, W)`` of images of `image_shape`, without noise."""
         if tuple(x.shape[1:]) != self.image_shape:
             raise InputError("x", f"got shape {tuple(x.shape)}, expected (B, {', '.join(map(str, self.image_shape))})")
         volume = x.reshape(*x.shape[:2], *self._inner, *x.shape[-2:]).permute(2, 3, 0, 1, 4, 5)
         return self.model.forward(volume, self.edges_s) / self.norm
 
-    def A_adjoint(self, y: Tensor, **_: object) -> Tensor:
+    def A_adjoint(self, y: Tensor, **_: object) -> Tensor:  # noqa: N802
         """Return the transpose's images of measurements ``(B, C, H, W)``."""
         volume = self.model.adjoint(y, self.edges_s) / self.norm
         return volume.permute(2, 3, 0, 1, 4, 5).reshape(len(y), *self.image_shape)
@@ -95,9 +98,10 @@ class LenslessPhysics(deepinv_physics.LinearPhysics):
 class SensorNoise(deepinv_physics.PoissonGaussianNoise):
     """deepinv's Poisson-Gaussian noise with a gain and a sigma for each channel, whose bins hold other numbers of pixels."""
 
-    def forward(
-        self, x: Tensor, gain: object = None, sigma: object = None, seed: int | None = None, **_: object
-    ) -> Tensor:
+    gain: Tensor
+    sigma: Tensor
+
+    def forward(self, x: Tensor, gain: object = None, sigma: object = None, seed: Any = None, **_: object) -> Tensor:
         """Return measurements ``(B, C, H, W)`` with noise; as its parent, but gain and sigma are those of the sensor."""
         if gain is not None or sigma is not None:
             raise InputError("gain, sigma", "are the sensor's; build the physics for another sensor, or leave them out")

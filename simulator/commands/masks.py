@@ -42,6 +42,9 @@ def export_mask(
         Path | None, typer.Option("--layers", help="folder of black-and-white images, one per height step")
     ] = None,
     base_um: Annotated[float, typer.Option(min=0.01, help="thickness of the body's plate")] = 500.0,
+    tolerance_nm: Annotated[
+        float, typer.Option(min=0, help="height by which the body of a smooth mask may be off, to be a smaller file")
+    ] = 10.0,
     step_um: Annotated[float, typer.Option(min=0, help="height step of the layers, for masks without steps")] = 0.0,
     crop_mm: Annotated[float | None, typer.Option(min=1e-3, help="only the central square of this side")] = None,
     force: Annotated[bool, typer.Option("--force", help="overwrite earlier exports")] = False,
@@ -54,7 +57,8 @@ def export_mask(
 
     if not (stl or tiff or layers):
         raise InputError("--stl, --tiff, --layers", "nothing to write; give --stl FILE, --tiff FILE or --layers FOLDER")
-    for option, number in (("--base-um", base_um), ("--step-um", step_um), ("--crop-mm", crop_mm)):
+    numbers = {"--base-um": base_um, "--tolerance-nm": tolerance_nm, "--step-um": step_um, "--crop-mm": crop_mm}
+    for option, number in numbers.items():
         if number is not None and not math.isfinite(number):
             raise InputError(option, f"got {number}, expected a finite number")
     for option, path, suffixes in (("--stl", stl, (".stl",)), ("--tiff", tiff, (".tif", ".tiff"))):
@@ -73,14 +77,14 @@ def export_mask(
     # A material of the user's own is named as the configuration names it, by its file.
     material = str(loaded.camera.mask.params.get("material", mask.material.name))
     # Whatever is refused is refused before anything is written.
-    body = stl_bytes(mask, base_um * 1e-6) if stl else b""
+    body = stl_bytes(mask, base_um * 1e-6, tolerance_nm * 1e-9) if stl else b""
     image = height_tiff(mask) if tiff else b""
     stack = binary_layers(mask, step_um * 1e-6) if layers else None
     if stl:
         write_atomic(stl, body)
-        print(
-            f"wrote {stl} ({len(body) / 1e6:.1f} MB), in millimetres; to use it:\n  {_as_design(mask, stl, material)}"
-        )
+        exact = mask.profile == "staircase" or not tolerance_nm
+        size = f"{len(body) / 1e6:.1f} MB, heights {'exact' if exact else f'within {tolerance_nm:g} nm'}"
+        print(f"wrote {stl} ({size}), in millimetres; to use it:\n  {_as_design(mask, stl, material)}")
     if tiff:
         write_atomic(tiff, image)
         height_um = float(mask.height_m.max() - mask.height_m.min()) * 1e6

@@ -189,15 +189,17 @@ MAX_SIDE = 2**14
 LEAN = 1 / 512
 
 
-def relief_solid(mask: Mask, base_m: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def relief_solid(mask: Mask, base_m: float, tolerance_m: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return the solid body of a mask's height map on a plate.
 
     A staircase becomes flat blocks with walls that are upright but for 1/256 of a pixel; a smooth mask is joined linearly
     between its samples and goes on level for the outer half sample. The lowest height lies at z = 0, the plate below it.
+    With a tolerance, a smooth mask keeps every n-th sample only, n as large as its heights allow.
 
     Args:
         mask: its heights; amplitudes have no body.
         base_m: thickness of the plate, metres.
+        tolerance_m: greatest height that the body of a smooth mask may be off at any of its samples, metres.
 
     Returns:
         Vertices ``(N, 3)`` in metres, centred on the mask, and triangles ``(M, 3)``, counter-clockwise seen from outside.
@@ -209,6 +211,10 @@ def relief_solid(mask: Mask, base_m: float) -> tuple[NDArray[np.float64], NDArra
         raise InputError("base_m", f"got {base_m:g}, expected positive metres: the relief needs a plate below it")
     height = _raised(mask)
     rows, columns = (_lines(n, mask) for n in mask.shape)
+    z = np.repeat(np.repeat(height, 2, 0), 2, 1) if mask.profile == "staircase" else np.pad(height, 1, mode="edge")
+    if mask.profile == "smooth":
+        kept = _thinned(z, tolerance_m)
+        z, rows, columns = z[np.ix_(*kept)], rows[kept[0]], columns[kept[1]]
     triangles = 2 * (len(rows) * len(columns) + len(rows) + len(columns))
     if triangles > MAX_TRIANGLES or max(mask.shape) > MAX_SIDE:
         side = int(np.sqrt(MAX_TRIANGLES / (8 if mask.profile == "staircase" else 2)))
@@ -217,7 +223,6 @@ def relief_solid(mask: Mask, base_m: float) -> tuple[NDArray[np.float64], NDArra
             f"{mask.name!r} of {mask.shape[0]} x {mask.shape[1]} pixels needs {triangles} triangles; at most "
             f"{MAX_TRIANGLES} are written: crop it to {side * mask.pitch_m * 1e3:.2g} mm",
         )
-    z = np.repeat(np.repeat(height, 2, 0), 2, 1) if mask.profile == "staircase" else np.pad(height, 1, mode="edge")
     return _closed(columns, -rows, z, base_m)
 
 
@@ -231,6 +236,34 @@ def _lines(samples: int, mask: Mask) -> NDArray[np.float64]:
         lines[1:-1:2] -= LEAN
         lines[2:-1:2] += LEAN
     return np.asarray(lines * mask.pitch_m, np.float64)
+
+
+def _thinned(z: NDArray[np.float64], tolerance_m: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the rows and columns of a padded height map that a mesh needs to be within a tolerance of all of it."""
+
+    def kept(step: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        rows, columns = (np.unique([0, *range(1, n - 1, step), n - 2, n - 1]) for n in z.shape)
+        return rows, columns
+
+    step = 1
+    while step < min(z.shape) and np.abs(_meshed(z, *kept(step + 1)) - z).max() <= tolerance_m:
+        step += 1
+    return kept(step)
+
+
+def _meshed(z: NDArray[np.float64], rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the heights, at all samples, of the triangles that `_closed` makes of some rows and columns."""
+    (top, down), (left, right) = (
+        (cell, (np.arange(n) - kept[cell]) / np.diff(kept)[cell])
+        for n, kept in zip(z.shape, (rows, columns), strict=True)
+        for cell in [np.clip(np.searchsorted(kept, np.arange(n), "right") - 1, 0, len(kept) - 2)]
+    )
+    coarse, up, right = z[np.ix_(rows, columns)], 1 - down[:, None], right[None, :]
+    upper_left, upper_right = coarse[np.ix_(top, left)], coarse[np.ix_(top, left + 1)]
+    lower_left, lower_right = coarse[np.ix_(top + 1, left)], coarse[np.ix_(top + 1, left + 1)]
+    below = lower_left + (lower_right - lower_left) * right + (upper_right - lower_right) * up
+    above = lower_left + (upper_left - lower_left) * up + (upper_right - upper_left) * right
+    return np.where(right >= up, below, above)
 
 
 def _closed(
@@ -259,11 +292,11 @@ def _closed(
     return vertices, np.concatenate([np.stack(corners, 1) for corners in faces])
 
 
-def stl_bytes(mask: Mask, base_m: float) -> bytes:
+def stl_bytes(mask: Mask, base_m: float, tolerance_m: float = 0.0) -> bytes:
     """Return a binary STL file, in millimetres, of :func:`relief_solid`."""
     import trimesh
 
-    vertices, faces = relief_solid(mask, base_m)
+    vertices, faces = relief_solid(mask, base_m, tolerance_m)
     data = trimesh.Trimesh(vertices / UNIT_M, faces, process=False).export(file_type="stl")
     assert isinstance(data, bytes)
     return data

@@ -1,4 +1,4 @@
-"""A camera as physics of deepinv: the same light, adjoint, norm 1, the sensor's noise; judged by dense matrices and deepinv."""
+"""A camera as physics of deepinv: the same light, adjoint, norm 1, the sensor's noise; by dense matrices and deepinv."""
 
 from __future__ import annotations
 
