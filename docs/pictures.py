@@ -33,6 +33,8 @@ EXAMPLES = {  # what each script writes, to be shown side by side as docs/images
     "moving_3d.sh": ["test_s00000000_videonet3d/film.png"],
     "activity.sh": ["test_s00000000_activitynet/film.png"],
     "shutter.sh": ["figures/flashes_along_the_columns.png"],
+    "deepinv_pnp.py": ["deepinv_pnp.png"],
+    "deepinv_unfolded.py": ["deepinv_unfolded.png"],
     "shards.sh": ["out/flying_things_64/contact_sheet.png"],
 }
 OTHERS = {  # the command that draws it, and its file; the headers of the presets name what comes before an evaluation

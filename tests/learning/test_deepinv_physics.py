@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import runpy
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +20,6 @@ from simulator.optics.stack import PsfStack
 deepinv = pytest.importorskip("deepinv")
 from learning.deepinv_physics import LenslessPhysics, as_physics  # noqa: E402  (needs deepinv)
 
-EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 CASES = [(1, None), (3, None), (1, 4), (2, 4)]
 
 
@@ -131,19 +128,3 @@ def test_without_deepinv_it_says_what_to_install() -> None:
     """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
     assert done.stdout.startswith("deepinv: ")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "better", "worse"),
-    [
-        ("deepinv_pnp", "plug and play (deepinv)", "ADMM-TV (ours)"),
-        ("deepinv_unfolded", "after training", "before training"),
-    ],
-)
-def test_the_examples_run(name: str, better: str, worse: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And what docs/deepinv.md says of them holds."""
-    monkeypatch.syspath_prepend(str(EXAMPLES))
-    scores = runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"](tmp_path)
-    assert (tmp_path / f"{name}.png").is_file()
-    assert scores[better] > scores[worse] + 0.5
