@@ -188,6 +188,11 @@ Classical = (
     "a classical method: cls, admm or pnp; of clips joint, joint3d, fista, pnp_clips, static, slivers, udn or nstm"
 )
 Scene = Option(help="ROWSxCOLUMNS of the result where no data set or network sets it; default: the sensor's")
+Confidence = Option(
+    help="of its depths: what `flatlight confidence` wrote, or none; default: the one beside the checkpoint, or the shipped "
+    "one of a classical method"
+)
+Least = Option(help="depths of a lower confidence are unknown: NaN in depth.exr, grey in depth.png; 0 keeps all")
 
 
 def reconstruct(
@@ -214,6 +219,8 @@ def reconstruct(
     accept_frame: Annotated[bool, Accept] = False,
     scene: Annotated[str | None, Scene] = None,
     white: Annotated[float | None, Option(help="radiance shown as white in image.png; default: from the image")] = None,
+    confidence: Annotated[str | None, Confidence] = None,
+    least_confidence: Annotated[float, Least] = 0.5,
     seconds: Annotated[
         float | None,
         Option(help="limit of time for udn and nstm, all calls together; with more it goes on"),
@@ -228,4 +235,33 @@ def reconstruct(
     parsed = {"parameters": parse_changes(given.pop("set_") or ()), "scene": parse_size(scene)}
     with Bar() as bar:
         report = reconstruct_file(Options(**given | parsed), progress=bar.update)
+    print(report)
+
+
+def confidence(
+    dataset: Annotated[Path, Argument(help="data set with validation and test scenes", show_default=False)],
+    checkpoint: Annotated[str | None, Network] = None,
+    method: Annotated[str | None, Option(help=Classical)] = None,
+    stack: Annotated[str | None, Stack] = None,
+    tuned: Annotated[Path | None, Option(help="its parameters: what `flatlight tune` wrote")] = None,
+    noise_db: Annotated[float | None, Option(help="PSNR, to choose tuned parameters")] = None,
+    set_: Annotated[list[str] | None, Parameter] = None,
+    output: Annotated[
+        Path | None,
+        Option(
+            help="file to write; default: beside the checkpoint, or METHOD.confidence.json here", show_default=False
+        ),
+    ] = None,
+    scenes: Annotated[int | None, Option(help="of each split, the first so many; default: all")] = None,
+    device: Annotated[str, Option(help="auto, cpu or cuda")] = "auto",
+) -> None:
+    """Calibrate how likely a method's depths are right, on a data set whose depths are known, and show that it is so."""
+    given = locals()
+    from learning.confidence.job import Options, confidence_file
+    from learning.reconstruct.job import parse_changes
+    from simulator.console import Bar
+
+    changes = parse_changes(given.pop("set_") or ())
+    with Bar() as bar:
+        report = confidence_file(Options(**given, parameters=changes), progress=bar.update)
     print(report)

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from learning.camera import CaptureModel
 from learning.classical.clips import ClipMethod
 from learning.classical.method import ClassicalMethod, PlanarMethod
+from learning.confidence.calibration import UNKNOWN, DepthConfidence
+from learning.confidence.files import find_confidence
 from learning.labels import spoken
 from learning.method import Clock, Method, Progress, choose_device, linear_to_srgb, srgb_to_linear, threads_for
 from learning.models.activitynet import ActivityMethod
@@ -60,6 +62,8 @@ class Options(Request):
     frame: Frame | None = None
     accept_frame: bool = False
     white: float | None = None
+    confidence: str | None = None
+    least_confidence: float = UNKNOWN
     seconds: float | None = None
     device: str = "auto"
 
@@ -76,6 +80,8 @@ def reconstruct_file(options: Options, *, progress: Progress = lambda *_: None) 
     for option, value, what in (("--white", options.white, "radiance"), ("--seconds", options.seconds, "time")):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise InputError(option, f"got {value}, expected a positive {what}")
+    if not 0 <= options.least_confidence <= 1:
+        raise InputError("--least-confidence", f"got {options.least_confidence}, expected a probability, 0 to 1")
     device = choose_device(options.device)
     of_file = {
         name: getattr(options, name) for name in ("bits", "background", "cfa", "crop", "binning", "mirror", "frame")
@@ -92,6 +98,7 @@ def reconstruct_file(options: Options, *, progress: Progress = lambda *_: None) 
         if measurement.frame is None or options.frame is not None:  # an image's file
             evidence = check_frame_fits(measurement, setup.method.capture, options, accept=options.accept_frame)
             measurement.record["frame_evidence"] = round(evidence, 4)
+        confidence, confidence_from = find_confidence(setup.record, options.confidence)
         method = setup.method.to(device)
         fitting = method.fitting if isinstance(method, ClipMethod) else None
         states = folder.absolute().with_name(f"{folder.absolute().name}.fit")
@@ -102,11 +109,14 @@ def reconstruct_file(options: Options, *, progress: Progress = lambda *_: None) 
             raise InputError(
                 "--seconds", f"{method.name} is not fitted to the capture; leave it out, or take udn or nstm"
             )
-        result = reconstruct(measurement.values, method, volume=options.volume, white=options.white, device=device)
+        told: dict[str, Any] = {"volume": options.volume, "white": options.white, "device": device}
+        told |= {"confidence": confidence, "least_confidence": options.least_confidence}
+        result = reconstruct(measurement.values, method, **told)
     record = {
         "measurement": measurement.record,
         **setup.record,
         "white_from": result.white_from,
+        "confidence_from": confidence_from if result.depth_m is not None else "no depth",
         "device": str(device),
         "version": __version__,
     }
@@ -150,7 +160,12 @@ def _report(measurement: Measurement, name: str, record: dict[str, Any], result:
     scale = f"numbers / {measurement.record['divided_by']:g} ({measurement.record['scale']})"
     depth = "none: the PSFs are of one depth"
     if result.depth_m is not None:
-        depth = f"{centimetres(result.depth_m.min())} to {centimetres(result.depth_m.max())}"
+        depth = "unknown everywhere"
+        if (known := np.isfinite(result.depth_m)).any():
+            depth = " to ".join(centimetres(float(end(result.depth_m[known]))) for end in (np.min, np.max))
+            if not known.all():
+                depth += f", unknown at {1 - known.mean():.1%} of the pixels"
+        depth += f"; confidence: {record['confidence_from']}"
     size = " x ".join(map(str, result.image.shape[-2:]))
     if result.image.ndim == 4:
         size = f"{len(result.image)} frames of {size}"
@@ -184,7 +199,10 @@ class Reconstruction:
         image: the same in sRGB codes 0..1; 1 is ``white``.
         white: the radiance that the image shows as 1.
         white_from: why this one.
-        depth_m: ``(h, w)`` float32 metres, of clips ``(N, h, w)``, at most `FARTHEST_M`; None of PSFs of one depth.
+        depth_m: ``(h, w)`` float32 metres, of clips ``(N, h, w)``, at most `FARTHEST_M`, NaN where it is unknown; None of
+            PSFs of one depth.
+        confidence: like it, the probability that the depth, also where it is given as unknown, is right; None where no
+            confidence of the method is known.
         volume: ``(K, C, h, w)`` float32 radiance in the camera's channels; None where it was not asked for.
         volume_depths_m: of its planes, ``(K,)``, nearest first: all of the stack's, or those that a network inverts at.
         seconds: by stage.
@@ -197,6 +215,7 @@ class Reconstruction:
     white: float
     white_from: str
     depth_m: NDArray[np.float32] | None
+    confidence: NDArray[np.float32] | None
     volume: NDArray[np.float32] | None
     volume_depths_m: NDArray[np.float64]
     seconds: dict[str, float]
@@ -210,6 +229,8 @@ def reconstruct(
     *,
     volume: bool = False,
     white: float | None = None,
+    confidence: DepthConfidence | None = None,
+    least_confidence: float = UNKNOWN,
     device: torch.device | str = "cpu",
 ) -> Reconstruction:
     """Reconstruct a still or clip of one measurement ``(C, H, W)``, DN / 2^bits, by a method on ``device``.
@@ -217,7 +238,7 @@ def reconstruct(
     The volume is given where it is wanted.
 
     ``white`` is the radiance that the image shows as 1, None shows its brightest half per cent as white; the radiance itself
-    is never clipped.
+    is never clipped. With a calibrated ``confidence``, depths of less than ``least_confidence`` are unknown.
 
     Raises:
         InputError: NaN or infinite numbers, a shape that is not the camera's, or a method that has no volume to show.
@@ -259,12 +280,17 @@ def reconstruct(
         white = float(np.percentile(lit, _WHITE_PERCENTILE)) if lit.size else 1.0
         reason = f"{_WHITE_PERCENTILE}th percentile of the image's positive values"
     depth_m = np.minimum(to_numpy(estimate.clamped().depth_m(capture))[0, ..., 0, :, :], FARTHEST_M)
+    sure = None
+    if confidence is not None and len(capture.stack.depths_m) > 1:
+        sure = to_numpy(confidence.of(estimate, batch, capture))[0, ..., 0, :, :]
+        depth_m = np.where(sure < least_confidence, np.float32(np.nan), depth_m)
     return Reconstruction(
         radiance=radiance,
         image=to_numpy(linear_to_srgb(torch.from_numpy(radiance), white)),
         white=white,
         white_from=reason,
         depth_m=depth_m if len(capture.stack.depths_m) > 1 else None,
+        confidence=sure,
         volume=to_numpy(planes)[0] * np.float32(capture.white) if volume and planes is not None else None,
         volume_depths_m=depths_m,
         seconds=clock.seconds,
@@ -278,12 +304,12 @@ def write_reconstruction(
 ) -> list[str]:
     """Write a reconstruction and return the files' names; the folder appears whole or not at all.
 
-    ``image.png`` (sRGB, 8 bit), ``image.exr`` (linear R, G, B), ``depth.exr`` (Z, metres), ``depth.png`` (colours and
-    what they mean), ``volume.exr`` (channels ``plane00.R`` and so on, nearest first), ``reconstruction.json`` (``record``),
-    as far as there is something to write. Of clips, in place of images, ``film.webp`` (an animation, the depth beside the
-    picture), ``film.png`` (its frames side by side, the depths below) and ``frames/image.0000.exr``, ``depth.0000.exr`` and
-    so on; of methods that iterate until they converge, ``convergence.png``, whose numbers are in the record. An earlier
-    reconstruction in the folder is replaced.
+    ``image.png`` (sRGB, 8 bit), ``image.exr`` (linear R, G, B), ``depth.exr`` (Z, metres, NaN where unknown, and its
+    ``confidence``), ``depth.png`` (colours and what they mean, grey where unknown), ``volume.exr`` (channels ``plane00.R``
+    and so on, nearest first), ``reconstruction.json`` (``record``), as far as there is something to write. Of clips, in place
+    of images, ``film.webp`` (an animation, the depth beside the picture), ``film.png`` (its frames side by side, the depths
+    below) and ``frames/image.0000.exr``, ``depth.0000.exr`` and so on; of methods that iterate until they converge,
+    ``convergence.png``, whose numbers are in the record. An earlier reconstruction in the folder is replaced.
 
     Raises:
         InputError: the folder holds other things.
@@ -300,7 +326,7 @@ def write_reconstruction(
             write_atomic(place / "image.png", png_bytes(Image.fromarray(codes)))
             _write_radiance(place / "image.exr", result.radiance, {"white": result.white})
             if result.depth_m is not None:
-                _write_depth(place / "depth.exr", result.depth_m)
+                _write_depth(place / "depth.exr", result.depth_m, result.confidence)
                 write_atomic(place / "depth.png", png_bytes(_depth_image(result.depth_m, capture)))
         if result.volume is not None:
             planes = {
@@ -332,7 +358,8 @@ def _write_film(
         about = {"white": result.white, "begins_s": edges_s[number], "ends_s": edges_s[number + 1]}
         _write_radiance(place / "frames" / f"image.{number:04d}.exr", radiance, plain(about))
         if result.depth_m is not None:
-            _write_depth(place / "frames" / f"depth.{number:04d}.exr", result.depth_m[number])
+            sure = None if result.confidence is None else result.confidence[number]
+            _write_depth(place / "frames" / f"depth.{number:04d}.exr", result.depth_m[number], sure)
     if result.depth_m is not None:
         rows.append([_enlarged(_depth_codes(depth_m, capture)) for depth_m in result.depth_m])
         pairs = zip(frames, result.depth_m, strict=True)
@@ -341,8 +368,10 @@ def _write_film(
     write_atomic(place / "film.webp", animation_webp(shown))
 
 
-def _write_depth(path: Path, depth_m: NDArray[np.float32]) -> None:
-    write_exr(path, {"Z": np.ascontiguousarray(depth_m)}, {"unit": "m", "z": "from the mask plane"})
+def _write_depth(path: Path, depth_m: NDArray[np.float32], confidence: NDArray[np.float32] | None) -> None:
+    channels = {"Z": depth_m} if confidence is None else {"Z": depth_m, "confidence": confidence}
+    content = {name: np.ascontiguousarray(values, np.float32) for name, values in channels.items()}
+    write_exr(path, content, {"unit": "m", "z": "from the mask plane"})
 
 
 def _write_radiance(path: Path, radiance: NDArray[np.float32], about: dict[str, Any]) -> None:
@@ -383,7 +412,8 @@ def _curve_png(convergence: Mapping[str, Sequence[float]]) -> bytes:
 
 
 def _depth_codes(depth_m: NDArray[np.float32], capture: CaptureModel) -> NDArray[np.uint8]:
-    return depth_colours(depth_m, np.ones(depth_m.shape, bool), capture.near_m, min(capture.far_m, FARTHEST_M))
+    known = np.isfinite(depth_m)
+    return depth_colours(np.where(known, depth_m, np.float32(1)), known, capture.near_m, min(capture.far_m, FARTHEST_M))
 
 
 def _depth_image(depth_m: NDArray[np.float32], capture: CaptureModel) -> Image.Image:
@@ -391,9 +421,10 @@ def _depth_image(depth_m: NDArray[np.float32], capture: CaptureModel) -> Image.I
     from PIL import Image, ImageDraw
 
     shown = _enlarged(_depth_codes(depth_m, capture))
-    # As high as the image: the legend's grey, for where nothing was seen, has no meaning here and falls off the paper.
     paper = Image.new("RGB", (shown.width + LEGEND_WIDTH + _MARGIN, shown.height), PAPER)
     paper.paste(shown, (0, 0))
     top, ends_m = 8, (capture.near_m, min(capture.far_m, FARTHEST_M))
-    drawing.draw_depth_legend(ImageDraw.Draw(paper), shown.width + _MARGIN, top, shown.height - 2 * top, *ends_m)
+    unseen = None if np.isfinite(depth_m).all() else "unknown"
+    height = shown.height - 2 * top - (24 if unseen else 0)
+    drawing.draw_depth_legend(ImageDraw.Draw(paper), shown.width + _MARGIN, top, height, *ends_m, unseen=unseen)
     return paper

@@ -230,10 +230,12 @@ LEGEND_WIDTH = 96
 _DISC = 72  # pixels across
 
 
-def draw_depth_legend(draw: Any, left: int, top: int, height: int, near_m: float, far_m: float) -> None:
-    """Draw the scale of `depth_colours` with five depths (one where all are alike), and grey for what is not seen below it.
+def draw_depth_legend(
+    draw: Any, left: int, top: int, height: int, near_m: float, far_m: float, *, unseen: str | None = "no surface"
+) -> None:
+    """Draw the scale of `depth_colours` with five depths (one where all are alike), and below it what grey means.
 
-    The scale is ``height`` pixels high; the grey takes 24 more.
+    The scale is ``height`` pixels high; the grey takes 24 more, none where ``unseen`` is None.
     """
     width = 16
     steps = (1 / np.linspace(1 / near_m, 1 / far_m, height))[:, None].astype(np.float32)
@@ -243,8 +245,9 @@ def draw_depth_legend(draw: Any, left: int, top: int, height: int, near_m: float
         depth_m = 1 / ((1 - share) / near_m + share / far_m)
         place = (left + width + 6, top + share * (height - 1))
         draw.text(place, centimetres(depth_m), fill=INK, font=font(12), anchor="lm")
-    draw.rectangle([(left, top + height + 8), (left + width, top + height + 24)], fill=UNSEEN)
-    draw.text((left + width + 6, top + height + 16), "no surface", fill=INK, font=font(12), anchor="lm")
+    if unseen is not None:
+        draw.rectangle([(left, top + height + 8), (left + width, top + height + 24)], fill=UNSEEN)
+        draw.text((left + width + 6, top + height + 16), unseen, fill=INK, font=font(12), anchor="lm")
 
 
 def draw_normal_legend(sheet: Any, draw: Any, left: int, top: int) -> int:
