@@ -218,5 +218,4 @@ def reliability_png(checked: Sequence[Reliability]) -> bytes:
         axes.grid(color=GRID)
     left.set_ylim(0, 1)
     right.set_ylim(bottom=0)
-    figure.tight_layout()
     return drawing.figure_png(figure)

@@ -371,7 +371,7 @@ def _write_film(
 def _write_depth(path: Path, depth_m: NDArray[np.float32], confidence: NDArray[np.float32] | None) -> None:
     channels = {"Z": depth_m} if confidence is None else {"Z": depth_m, "confidence": confidence}
     content = {name: np.ascontiguousarray(values, np.float32) for name, values in channels.items()}
-    write_exr(path, content, {"unit": "m", "z": "from the mask plane"})
+    write_exr(path, content, {"unit": "m", "z": "from the mask plane"}, finite=False)
 
 
 def _write_radiance(path: Path, radiance: NDArray[np.float32], about: dict[str, Any]) -> None:

@@ -77,13 +77,20 @@ class Header:
     checksums: dict[str, int] | None
 
 
-def write_exr(path: Path | str, channels: Mapping[str, NDArray[np.float32]], metadata: Mapping[str, Any]) -> bytes:
+def write_exr(
+    path: Path | str,
+    channels: Mapping[str, NDArray[np.float32]],
+    metadata: Mapping[str, Any],
+    *,
+    finite: bool = True,
+) -> bytes:
     """Write channels of one size to an OpenEXR file that appears whole or not at all, and prove that it reads back.
 
     Args:
         path: the final name; its folder must exist. An existing file is replaced.
         channels: float32 arrays ``(rows, columns)`` by channel name, finite, any memory layout; not changed.
         metadata: JSON-serialisable; comes back exactly from ``read_exr``; not changed.
+        finite: refuse NaN and inf; without, NaN may stand for what is unknown.
 
     Returns:
         The bytes of the file, for hashing.
@@ -93,9 +100,9 @@ def write_exr(path: Path | str, channels: Mapping[str, NDArray[np.float32]], met
         StorageError: the folder cannot be written to, or the disk is full.
     """
     path = Path(path)
-    clean = _checked_channels(path, channels)
+    clean = _checked_channels(path, channels, finite=finite)
     data = _encode(clean, _attribute(path, clean, metadata))
-    decoded, _ = decode_exr(data, path, max_pixels=sum(values.size for values in clean.values()))
+    decoded, _ = decode_exr(data, path, max_pixels=sum(values.size for values in clean.values()), finite=finite)
     for name, values in clean.items():
         if decoded[name].tobytes() != values.tobytes():
             msg = f"OpenEXR changed channel {name!r} of {path} while encoding it: this OpenEXR package cannot be used"
@@ -163,7 +170,9 @@ def decode_exr(
     return result, header.metadata
 
 
-def _checked_channels(path: Place, channels: Mapping[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
+def _checked_channels(
+    path: Place, channels: Mapping[str, NDArray[np.float32]], *, finite: bool
+) -> dict[str, NDArray[np.float32]]:
     if not channels:
         raise InputError(path, "cannot be written: no channels given")
     clean: dict[str, NDArray[np.float32]] = {}
@@ -178,7 +187,7 @@ def _checked_channels(path: Place, channels: Mapping[str, NDArray[np.float32]]) 
             raise InputError(path, f"channel {name!r}: got {values.shape}, expected (rows, columns), not empty")
         if shape is not None and values.shape != shape:
             raise InputError(path, f"channel {name!r} is {values.shape}, the others {shape}; one file has one size")
-        if not np.isfinite(values).all():
+        if finite and not np.isfinite(values).all():
             raise InputError(path, f"channel {name!r} holds NaN or inf; store finite values and a validity channel")
         shape = values.shape
         clean[name] = np.ascontiguousarray(values, dtype="<f4")  # other layouts are written WRONG, silently

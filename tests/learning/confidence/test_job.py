@@ -1,0 +1,67 @@
+"""`flatlight confidence` on a tiny data set, and reconstructions that say where the depth is unknown."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from learning.commands import confidence, reconstruct
+from learning.confidence import job
+from learning.confidence.files import read_confidence
+from simulator.dataset import open_dataset
+from simulator.errors import InputError
+from simulator.io.exr import read_exr
+from simulator.plots.drawing import UNSEEN
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(job, "_LEAST_SCENES", 2)
+
+
+def test_the_command_calibrates_checks_and_reconstruct_uses_it(
+    few: None, tiny_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    confidence(tiny_dataset, method="cls", output=None)
+    out = capsys.readouterr().out
+    assert "cls.confidence.json" in out
+    assert (tmp_path / "cls.confidence.png").exists()
+    file = read_confidence(tmp_path / "cls.confidence.json")
+    assert set(file.checked) == {"20 dB", "30 dB", "40 dB", "50 dB"}
+    sample = open_dataset(tiny_dataset, "test").folder(0)
+    depths, colours = {}, {}
+    for least in (0.0, 0.5, 1.0):
+        reconstruct(
+            sample, method="cls", confidence="cls.confidence.json", least_confidence=least, output=Path(f"o{least}")
+        )
+        depths[least] = read_exr(tmp_path / f"o{least}" / "depth.exr", finite=False)[0]
+        colours[least] = np.asarray(Image.open(tmp_path / f"o{least}" / "depth.png"))
+    sure = depths[0.0]["confidence"]
+    assert 0 < sure.min() < sure.max() < 1
+    assert np.isfinite(depths[0.0]["Z"]).all()
+    for least, depth in depths.items():
+        unknown = sure < least
+        assert np.array_equal(np.isnan(depth["Z"]), unknown)
+        assert np.array_equal(depth["Z"][~unknown], depths[0.0]["Z"][~unknown])
+        factor = colours[least].shape[0] // len(sure)
+        shown = colours[least][: len(sure) * factor : factor, : sure.shape[1] * factor : factor]
+        assert np.array_equal((shown == np.array(UNSEEN)).all(axis=-1), unknown)
+    assert "unknown everywhere" in capsys.readouterr().out
+    record = json.loads((tmp_path / "o0.5" / "reconstruction.json").read_text())
+    assert record["confidence_from"].startswith("cls.confidence.json: ")
+
+
+def test_too_few_scenes_and_one_depth_are_refused(
+    tiny_dataset: Path, few: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(job, "_LEAST_SCENES", 999)
+    with pytest.raises(InputError, match=r"split 'validation' has"):
+        confidence(tiny_dataset, method="cls")
+    with pytest.raises(InputError, match=r"^--least-confidence: "):
+        reconstruct(open_dataset(tiny_dataset, "test").folder(0), method="cls", least_confidence=1.5)
