@@ -147,8 +147,7 @@ def calibrate(
     depths = np.array([picture.distance_m + offset_m for picture in pictures])
     check_depths(depths)
     planes = _planes(pictures, frame)
-    mosaic = 2 if cfa not in (None, "none") and planes.shape[1] == 3 else 1
-    pitch_m = pixel_pitch_m * binning * mosaic
+    pitch_m = pixel_pitch_m * pictures[0].pixels
     grey = planes.mean(axis=1, dtype=np.float64)
     geometry = find_geometry(grey, depths, pitch_m, nominal_m=nominal_m)
     totals = np.array([picture.light.mean(axis=0).sum() for picture in pictures])

@@ -48,6 +48,7 @@ class Picture:
         exposure_s: as stated; None where it is not.
         files: that were averaged.
         light: ``(1 or C, H, W)`` float64 counts, darkness taken off (negative values are noise), binned.
+        pixels: of the sensor, per side of one of ``light``.
         peak: brightest value as a share of full scale, darkness included.
         saturated: share of the pixels that are full in any file.
         noise: standard deviation of a pixel of ``light`` where it is dark, counts.
@@ -59,6 +60,7 @@ class Picture:
     exposure_s: float | None
     files: tuple[Path, ...]
     light: NDArray[np.float64]
+    pixels: int
     peak: float
     saturated: float
     noise: float
@@ -133,6 +135,7 @@ def read_picture(
         exposure_s=group.exposure_s,
         files=group.files,
         light=binned(recorded.mean - darkness, binning),
+        pixels=binning * (2 if recorded.mosaic else 1),
         peak=recorded.peak,
         saturated=recorded.full_share,
         noise=recorded.noise / binning,
@@ -146,6 +149,7 @@ class _Recorded:
     """The mean of some files: ``mean`` ``(C, H, W)`` counts, its noise where it is dark, and how full its pixels are."""
 
     mean: NDArray[np.float64]
+    mosaic: bool
     noise: float
     peak: float
     full_share: float
@@ -156,11 +160,12 @@ def _average(files: tuple[Path, ...], bits: int | None, cfa: Cfa | None, *, judg
     total: Any = 0.0
     squares: Any = 0.0
     full: Any = False
-    peak, first, plateau = 0.0, None, None
+    peak, first, plateau, mosaic = 0.0, None, None, False
     for file in files:
         read = read_measured_image(file)
         image = in_colours(read, cfa, file, judge=judge)
         first = image if first is None else first
+        mosaic = image.shape != read.values.shape
         if image.shape != first.shape:
             raise InputError(file, f"got {image.shape}, but {files[0].name} has {first.shape}; expected one size")
         scale = _full_scale(read.values, bits, file)
@@ -179,7 +184,7 @@ def _average(files: tuple[Path, ...], bits: int | None, cfa: Cfa | None, *, judg
         noise = np.sqrt(max(float(np.mean((squares / n - mean**2)[dark])), 0.0) / (n - 1))
     else:  # neighbours differ by sqrt(2) of the noise, whose mean absolute value is sqrt(2 / pi) of it
         noise = np.abs(np.diff(mean, axis=-1)[dark[..., 1:]]).mean() * np.sqrt(np.pi) / 2 if mean.shape[-1] > 1 else 0.0
-    return _Recorded(mean, float(noise), peak, float(np.mean(full)), plateau)
+    return _Recorded(mean, mosaic, float(noise), peak, float(np.mean(full)), plateau)
 
 
 def _full_scale(values: NDArray[Any], bits: int | None, file: Path) -> float:

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from simulator.calibrate.pictures import find_groups, read_picture
+from simulator.calibrate import pictures
+from simulator.calibrate.pictures import Group, find_groups, read_picture
 from simulator.errors import InputError
+from simulator.io.measurements import MeasuredImage
 
 
 def save(folder, *names, image=None) -> None:
@@ -110,3 +112,15 @@ class TestReading:
         save(tmp_path, "dark", image=np.ones((4, 4)))
         with pytest.raises(InputError, match=r"dark\.npy: "):
             picture(tmp_path)
+
+
+class TestMosaic:
+    @pytest.mark.parametrize(("told", "stated"), [("RGGB", None), (None, "RGGB")])
+    def test_each_2_x_2_is_a_pixel_whoever_says_so(self, tmp_path, monkeypatch, told, stated) -> None:
+        """A raw file states its mosaic itself; the pixels of the stack are twice as large all the same."""
+        values = np.random.default_rng(0).integers(0, 4000, (1, 24, 20), np.uint16)
+        monkeypatch.setattr(pictures, "read_measured_image", lambda _: MeasuredImage(values, cfa=stated))
+        found = read_picture(Group(0.1, None, (tmp_path / "10cm.dng",)), [], cfa=told, binning=2, bits=12)
+        assert (found.light.shape, found.pixels) == ((3, 6, 5), 4)
+        monkeypatch.setattr(pictures, "read_measured_image", lambda _: MeasuredImage(values))
+        assert read_picture(Group(0.1, None, (tmp_path / "10cm.tif",)), [], binning=2, bits=12).pixels == 2
