@@ -25,7 +25,7 @@ from simulator.importers.depth_pairs import list_pairs, recognises
 from simulator.importers.depth_sequences import Pair, check_rate, find_runs, read_pairs
 from simulator.importers.inspection import Progress, Survey
 from simulator.importers.listing import grouped
-from simulator.importers.undistorted_clips import UndistortedClips, clip_files
+from simulator.importers.undistorted_clips import UndistortedClips, check_intrinsics, clip_files
 from simulator.importers.undistortion import Circle, Lookup, find_circle
 from simulator.importers.videos import Count, Positive
 from simulator.io.images import image_shape, read_image
@@ -98,12 +98,8 @@ def endoslam(
         InputError: for missing folders or pairs, and when the parameters contradict one another.
     """
     check_rate(frames, frames_per_second)
-    if intrinsics is not None and intrinsics_file is not None:
-        raise InputError("intrinsics, intrinsics_file", "both are given: leave one of them out")
+    check_intrinsics(intrinsics, intrinsics_file, field, depth_along)
     known = intrinsics or (read_intrinsics(intrinsics_file) if intrinsics_file is not None else None)
-    if known is None and (field == "angles" or depth_along == "ray"):
-        what = "field: angles" if field == "angles" else "depth_along: ray"
-        raise InputError(what, "needs the directions of the images' rays: give intrinsics or intrinsics_file")
     if depth_at_zero_cm == depth_scale_cm:
         raise InputError("depth_at_zero_cm, depth_scale_cm", f"both are {depth_scale_cm:g}: they must differ")
     root = Path(path)

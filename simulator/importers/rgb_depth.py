@@ -24,7 +24,7 @@ from simulator.importers.depth_sequences import Pair, check_rate, find_runs, rea
 from simulator.importers.file_pairs import pairs_of_folders, pairs_of_table
 from simulator.importers.inspection import Likeness, Progress, Survey
 from simulator.importers.listing import Fault, grouped
-from simulator.importers.undistorted_clips import UndistortedClips, clip_files
+from simulator.importers.undistorted_clips import UndistortedClips, check_intrinsics, clip_files
 from simulator.importers.undistortion import Lookup
 from simulator.importers.videos import Count, Positive
 from simulator.io.images import read_light
@@ -104,11 +104,7 @@ def rgb_depth(
         InputError: for missing folders or pairs, and when the parameters contradict one another.
     """
     check_rate(frames, frames_per_second)
-    if intrinsics is not None and intrinsics_file is not None:
-        raise InputError("intrinsics, intrinsics_file", "both are given: leave one of them out")
-    if intrinsics is None and intrinsics_file is None and (field == "angles" or depth_along == "ray"):
-        what = "field: angles" if field == "angles" else "depth_along: ray"
-        raise InputError(what, "needs the directions of the images' rays: give intrinsics or intrinsics_file")
+    check_intrinsics(intrinsics, intrinsics_file, field, depth_along)
     if independent and frames > 1:
         raise InputError(
             "independent", f"got true, but clips of {frames} frames are no images by themselves: leave it out"

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.errors import InputError
 from simulator.importers.camera_models import Lens, Pinhole
 from simulator.importers.depth_codes import check_depths
 from simulator.importers.depth_coding import DepthAlong
@@ -101,3 +102,12 @@ def clip_files(pairs: tuple[Pair, ...]) -> dict[str, Any]:
         "pictures": [pair.image.as_posix() for pair in ends],
         "depths": [pair.depth.as_posix() for pair in ends],
     }
+
+
+def check_intrinsics(intrinsics: object, intrinsics_file: object, field: str, depth_along: str) -> None:
+    """Refuse intrinsics that are given twice, or not at all where the directions of rays are needed."""
+    if intrinsics is not None and intrinsics_file is not None:
+        raise InputError("intrinsics, intrinsics_file", "both are given: leave one of them out")
+    if intrinsics is None and intrinsics_file is None and (field == "angles" or depth_along == "ray"):
+        what = "field: angles" if field == "angles" else "depth_along: ray"
+        raise InputError(what, "needs the directions of the images' rays: give intrinsics or intrinsics_file")
