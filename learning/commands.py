@@ -192,7 +192,10 @@ Confidence = Option(
     help="of its depths: what `flatlight confidence` wrote, or none; default: the one beside the checkpoint, or the shipped "
     "one of a classical method"
 )
-Least = Option(help="depths of a lower confidence are unknown: NaN in depth.exr, grey in depth.png; 0 keeps all")
+Least = Option(
+    help="depths of a lower confidence are unknown: NaN in depth.exr, grey in depth.png; 0 keeps all; default: 0.5",
+    show_default=False,
+)
 
 
 def reconstruct(
@@ -220,7 +223,7 @@ def reconstruct(
     scene: Annotated[str | None, Scene] = None,
     white: Annotated[float | None, Option(help="radiance shown as white in image.png; default: from the image")] = None,
     confidence: Annotated[str | None, Confidence] = None,
-    least_confidence: Annotated[float, Least] = 0.5,
+    least_confidence: Annotated[float | None, Least] = None,
     seconds: Annotated[
         float | None,
         Option(help="limit of time for udn and nstm, all calls together; with more it goes on"),

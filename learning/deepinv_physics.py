@@ -62,7 +62,7 @@ class LenslessPhysics(deepinv_physics.LinearPhysics):
         self._axes = (frames,) * (frame_edges_s is not None) + (planes,) * (planes > 1)
         self._inner = (frames, planes)
         self.image_shape = (values.shape[1], *self._axes, *model.scene_shape)
-        self.norm, self.unit, self.offset = 1.0, 1.0, 0.0
+        self.norm, self.unit, self.offset = 1.0, 1.0, torch.zeros((values.shape[1], 1, 1), device=device)
         self.norm = self._largest_singular_value(device)
 
     def A(self, x: Tensor, **_: object) -> Tensor:  # noqa: N802  (deepinv's name)
@@ -78,7 +78,7 @@ class LenslessPhysics(deepinv_physics.LinearPhysics):
         return volume.permute(2, 3, 0, 1, 4, 5).reshape(len(y), *self.image_shape)
 
     def from_digital(self, numbers: Tensor) -> Tensor:
-        """Return a stored measurement, DN / 2^bits, in the unit of A x: black level taken off, divided by gain and norm."""
+        """Return a stored measurement, DN / 2^bits, in the unit of A x: less what is stored in darkness, by gain and norm."""
         return (numbers - self.offset) / self.unit
 
     def _largest_singular_value(self, device: torch.device | str) -> float:
@@ -124,7 +124,7 @@ def as_physics(
 
     A sensor's noise becomes one of deepinv's: white Gaussian noise `GaussianNoise`; photons, dark current, read noise, row
     errors (as if each value had its own), dark-signal non-uniformity and rounding a `PoissonGaussianNoise`, a gain and a
-    sigma per channel. Left out are PRNU, saturation and rounding itself; y has no black level.
+    sigma per channel. Left out are PRNU, saturation and rounding itself; y has no black level and no mean dark current.
 
     Args:
         model: the camera; its PSFs, shutter, boundary.
@@ -169,5 +169,6 @@ def as_physics(
         torch.as_tensor(dark.mean(axis=(-2, -1)) / share, dtype=torch.float32),
     ).to(device)
     physics.unit = share * sensor.dn_range / 2**sensor.bit_depth
-    physics.offset = sensor.black_level_dn / 2**sensor.bit_depth
+    stored = torch.as_tensor(sensor.noiseless(np.zeros((channels, *sensor.shape))), dtype=torch.float32, device=device)
+    physics.offset = stored.mean(dim=(-2, -1), keepdim=True)
     return physics

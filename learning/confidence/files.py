@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from learning.checkpoint import shipped_checkpoints
+from learning.checkpoint import FOLDER
 from learning.confidence.calibration import DepthConfidence
 from simulator.errors import InputError
 from simulator.io.files import write_atomic
@@ -15,6 +15,7 @@ from simulator.io.json import plain, readable_json
 
 FORMAT, VERSION = "flatlight depth confidence", 1
 SUFFIX = ".confidence.json"
+_TOLD = {"parameters": "parameters", "psfs": "PSFs"}  # where these of a classical method differ, it is only told
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,8 @@ class ConfidenceFile:
 
     Attributes:
         confidence: what tells how likely a depth is right.
-        method: ``{"sha256": of a checkpoint}``, or ``{"method": name}`` of a classical one with its parameters.
+        method: ``{"sha256": of a checkpoint}``, or ``{"method": name, "parameters": ..., "psfs": fingerprint}`` of a
+            classical one.
         checked: by noise level in words, what `learning.confidence.job.Reliability` found on other scenes.
     """
 
@@ -62,7 +64,8 @@ def method_identity(record: dict[str, Any]) -> dict[str, Any]:
     """Return what tells a method from others, of the record that `learning.reconstruct.choice` makes of it."""
     if "sha256" in record:
         return {"sha256": record["sha256"]}
-    return {"method": record["method"], "parameters": record["parameters"]}
+    psfs = record["camera"]["psf_fingerprint"]
+    return plain({"method": record["method"], "parameters": record["parameters"], "psfs": psfs})
 
 
 def find_confidence(record: dict[str, Any], told: str | None) -> tuple[DepthConfidence | None, str]:
@@ -77,18 +80,19 @@ def find_confidence(record: dict[str, Any], told: str | None) -> tuple[DepthConf
         return None, "not asked for"
     own = method_identity(record)
     if told is not None:
-        found = read_confidence(path := Path(told).expanduser())
-        if any(found.method.get(name) != own[name] for name in own if name != "parameters"):
-            of = found.method.get("method") or f"a checkpoint {str(found.method.get('sha256'))[:8]}"
-            raise InputError("--confidence", f"got {path}, which is of {of}; give one of this method, or none")
-        return found.confidence, f"{path}: {found.confidence.origin}"
-    if "sha256" in own:
+        path = Path(told).expanduser()
+    elif "sha256" in own:
         path = Path(record["checkpoint"]).with_suffix(SUFFIX)
     else:
-        path = next(iter(shipped_checkpoints().values())).parent / f"{own['method']}{SUFFIX}"
-    if not path.is_file():
+        path = FOLDER / f"{own['method']}{SUFFIX}"
+    if told is None and not path.is_file():
         return None, "not known: `flatlight confidence` calibrates it"
     found = read_confidence(path)
-    if found.method.get("sha256") != own.get("sha256"):
-        return None, f"not known: {path.name} is of another checkpoint"
-    return found.confidence, found.confidence.origin
+    if any(found.method.get(name) != own[name] for name in own.keys() - _TOLD.keys()):
+        of = found.method.get("method") or f"a checkpoint {str(found.method.get('sha256'))[:8]}"
+        if told is None:
+            return None, f"not known: {path.name} is of {of}"
+        raise InputError("--confidence", f"got {path}, which is of {of}; give one of this method, or none")
+    others = " and ".join(word for name, word in _TOLD.items() if found.method.get(name) != own.get(name))
+    origin = found.confidence.origin + (f", with other {others}" if others else "")
+    return found.confidence, origin if told is None else f"{origin} ({path})"

@@ -63,7 +63,7 @@ class Options(Request):
     accept_frame: bool = False
     white: float | None = None
     confidence: str | None = None
-    least_confidence: float = UNKNOWN
+    least_confidence: float | None = None
     seconds: float | None = None
     device: str = "auto"
 
@@ -80,8 +80,9 @@ def reconstruct_file(options: Options, *, progress: Progress = lambda *_: None) 
     for option, value, what in (("--white", options.white, "radiance"), ("--seconds", options.seconds, "time")):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise InputError(option, f"got {value}, expected a positive {what}")
-    if not 0 <= options.least_confidence <= 1:
-        raise InputError("--least-confidence", f"got {options.least_confidence}, expected a probability, 0 to 1")
+    least = UNKNOWN if options.least_confidence is None else options.least_confidence
+    if not 0 <= least <= 1:
+        raise InputError("--least-confidence", f"got {least}, expected a probability, 0 to 1")
     device = choose_device(options.device)
     of_file = {
         name: getattr(options, name) for name in ("bits", "background", "cfa", "crop", "binning", "mirror", "frame")
@@ -99,6 +100,10 @@ def reconstruct_file(options: Options, *, progress: Progress = lambda *_: None) 
             evidence = check_frame_fits(measurement, setup.method.capture, options, accept=options.accept_frame)
             measurement.record["frame_evidence"] = round(evidence, 4)
         confidence, confidence_from = find_confidence(setup.record, options.confidence)
+        if confidence is None and options.least_confidence is not None:
+            raise InputError(
+                "--least-confidence", f"the confidence is {confidence_from}; leave it out, or calibrate one"
+            )
         method = setup.method.to(device)
         fitting = method.fitting if isinstance(method, ClipMethod) else None
         states = folder.absolute().with_name(f"{folder.absolute().name}.fit")
@@ -110,7 +115,7 @@ def reconstruct_file(options: Options, *, progress: Progress = lambda *_: None) 
                 "--seconds", f"{method.name} is not fitted to the capture; leave it out, or take udn or nstm"
             )
         told: dict[str, Any] = {"volume": options.volume, "white": options.white, "device": device}
-        told |= {"confidence": confidence, "least_confidence": options.least_confidence}
+        told |= {"confidence": confidence, "least_confidence": least}
         result = reconstruct(measurement.values, method, **told)
     record = {
         "measurement": measurement.record,

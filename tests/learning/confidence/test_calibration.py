@@ -116,7 +116,7 @@ def test_reliability_counts_bins() -> None:
 @pytest.fixture
 def written(tmp_path: Path) -> tuple[Path, ConfidenceFile]:
     found, right, _ = drawn(500, 4)
-    file = ConfidenceFile(calibrate([(found, right)], "drawn"), {"method": "cls", "parameters": {}}, {})
+    file = ConfidenceFile(calibrate([(found, right)], "drawn"), {"method": "cls", "parameters": {}, "psfs": "a"}, {})
     file.write(tmp_path / "cls.confidence.json")
     return tmp_path / "cls.confidence.json", file
 
@@ -124,11 +124,13 @@ def written(tmp_path: Path) -> tuple[Path, ConfidenceFile]:
 def test_a_file_comes_back_and_belongs_to_its_method(written: tuple[Path, ConfidenceFile]) -> None:
     path, file = written
     assert read_confidence(path) == file
-    cls: dict[str, Any] = {"method": "cls", "parameters": {"tikhonov": 2}}
-    assert find_confidence(cls, str(path))[0] == file.confidence
+    cls: dict[str, Any] = {"method": "cls", "parameters": {}, "camera": {"psf_fingerprint": "a"}}
+    assert find_confidence(cls, str(path)) == (file.confidence, f"drawn ({path})")
+    others = cls | {"parameters": {"tikhonov": 2}, "camera": {"psf_fingerprint": "b"}}
+    assert find_confidence(others, str(path)) == (file.confidence, f"drawn, with other parameters and PSFs ({path})")
     assert find_confidence(cls, "none")[0] is None
     with pytest.raises(InputError, match=r"^--confidence: "):
-        find_confidence({"method": "admm", "parameters": {}}, str(path))
+        find_confidence(cls | {"method": "admm"}, str(path))
     with pytest.raises(InputError, match=r"^--confidence: "):
         find_confidence({"sha256": "0" * 64, "checkpoint": "a.safetensors"}, str(path))
 

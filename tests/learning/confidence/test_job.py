@@ -54,7 +54,7 @@ def test_the_command_calibrates_checks_and_reconstruct_uses_it(
         assert np.array_equal((shown == np.array(UNSEEN)).all(axis=-1), unknown)
     assert "unknown everywhere" in capsys.readouterr().out
     record = json.loads((tmp_path / "o0.5" / "reconstruction.json").read_text())
-    assert record["confidence_from"].startswith("cls.confidence.json: ")
+    assert record["confidence_from"].endswith("50 dB (cls.confidence.json)")
 
 
 def test_too_few_scenes_and_one_depth_are_refused(
@@ -65,3 +65,5 @@ def test_too_few_scenes_and_one_depth_are_refused(
         confidence(tiny_dataset, method="cls")
     with pytest.raises(InputError, match=r"^--least-confidence: "):
         reconstruct(open_dataset(tiny_dataset, "test").folder(0), method="cls", least_confidence=1.5)
+    with pytest.raises(InputError, match=r"^--least-confidence: the confidence is not asked for"):
+        reconstruct(open_dataset(tiny_dataset, "test").folder(0), method="cls", confidence="none", least_confidence=0.7)
