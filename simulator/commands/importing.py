@@ -32,7 +32,7 @@ def import_check(
     ] = None,
     skip_bad: Annotated[bool, typer.Option("--skip-bad", help="list what is bad, but do not fail for it")] = False,
 ) -> None:
-    """Say what a folder looks like, how confidently and why; then read all of it once and report; nothing is copied or changed."""
+    """Say what a folder looks like, how confidently and why; then read it once and report; nothing is copied or changed."""
     from simulator.config.yaml import apply_overrides, parse_yaml
     from simulator.console import Bar
     from simulator.importers.inspection import choose, find_candidates, run_survey
