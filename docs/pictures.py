@@ -43,6 +43,7 @@ OTHERS = {  # the command that draws it, and its file; the headers of the preset
     "clips.webp": "flatlight evaluate evaluate_video_64.yaml: films.webp",
     "moving_3d.webp": "flatlight evaluate evaluate_moving_3d_64.yaml: films.webp",
     "activity.webp": "flatlight evaluate evaluate_activity_64.yaml: the sheet of predictions",
+    "confidence.webp": "flatlight confidence out/flying_things_64 --checkpoint flatnet3d: flatnet3d.confidence.png",
     "report.webp": "flatlight generate sim_config.yaml: report.html, in a browser window of 1600 x 696",
 }
 FRONT = ["capture.png", "refocus.png"]

@@ -12,11 +12,14 @@ import pytest
 import torch
 
 from learning.camera import CaptureModel
+from learning.checkpoint import find_checkpoint
+from learning.classical.by_name import ALL_DEFAULTS
 from learning.confidence.calibration import FEATURES, TOLERANCE, DepthConfidence, calibrate, features, is_right
 from learning.confidence.files import ConfidenceFile, find_confidence, read_confidence
 from learning.confidence.job import Reliability, _Pixels, _reliability
 from learning.method import Estimate
 from simulator.errors import InputError
+from simulator.io.files import sha256_file
 
 PLACE = dict(zip(FEATURES, range(5), strict=True))
 
@@ -143,6 +146,22 @@ def test_the_file_beside_a_checkpoint_is_taken_if_it_is_of_it(
     replace(written[1], method={"sha256": "1" * 64}).write(tmp_path / "best.confidence.json")
     assert find_confidence(own, None)[0] == written[1].confidence
     assert find_confidence(own | {"sha256": "2" * 64}, None)[0] is None
+
+
+@pytest.mark.parametrize("network", ["flatnet3d"])
+def test_the_shipped_networks_depths_have_a_confidence(network: str) -> None:
+    path = find_checkpoint(network)
+    confidence, origin = find_confidence({"sha256": sha256_file(path), "checkpoint": str(path)}, None)
+    assert confidence is not None
+    assert "validation scenes" in origin
+
+
+@pytest.mark.parametrize("method", ["cls"])
+def test_classical_methods_have_one_that_is_of_their_defaults(method: str) -> None:
+    record = {"method": method, "parameters": ALL_DEFAULTS[method], "camera": {"psf_fingerprint": "of my camera"}}
+    confidence, origin = find_confidence(record, None)
+    assert confidence is not None
+    assert origin.endswith(", with other PSFs")
 
 
 @pytest.mark.parametrize(

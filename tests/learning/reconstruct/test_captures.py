@@ -85,9 +85,9 @@ def test_a_grey_capture_with_a_stack_of_three_depths(tmp_path: Path, channels: t
     report = reconstruct_file(Options(measurement=tmp_path / "raw.tif", background="655", **job))
     assert "96 x 120, grey" in report
     assert min(likeness(tmp_path / "out", np.stack([scene] * 3))) > 0.9
-    depth = read_exr(tmp_path / "out" / "depth.exr")[0]["Z"]
-    lit = np.pad(scene, ((28, 28), (35, 35))) > 0
-    assert np.median(depth[lit]) == pytest.approx(0.08, rel=0.1)
+    depth = read_exr(tmp_path / "out" / "depth.exr", finite=False)[0]["Z"]
+    lit, known = np.pad(scene, ((28, 28), (35, 35))) > 0, np.isfinite(depth)
+    assert np.median(depth[lit & known]) == pytest.approx(0.08, rel=0.1)
 
 
 def test_a_mosaic_with_a_mosaic_of_the_psf_gives_the_scenes_colours(tmp_path: Path) -> None:
