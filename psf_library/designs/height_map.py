@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from simulator.design.export import UNIT_M
 from simulator.design.fabrication import quantise
 from simulator.design.height_maps import read_height_map, read_stl_height
+from simulator.design.solid import UNIT_M
 from simulator.errors import InputError
 from simulator.optics.mask import Mask
 from simulator.optics.materials import load_material

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from simulator.optics.mask import Mask
 
 
+LARGE_BYTES = 20e6
+"""Size of a body from which its user is told of the smaller height map."""
+
+
 def masks(names: Annotated[list[str] | None, typer.Argument(help="designs to list; all when left out")] = None) -> None:
     """List the mask designs: what they are, and their parameters with range, default and meaning."""
     from simulator.plugin_listing import print_plugins
@@ -52,7 +56,8 @@ def export_mask(
     """Write the mask of a configuration as a body (STL), a height map (TIFF) or layers, for fabrication."""
     from simulator.assembly import Assembly
     from simulator.config import load_config
-    from simulator.design.export import binary_layers, height_tiff, stl_bytes, write_layers
+    from simulator.design.export import binary_layers, height_tiff, write_layers
+    from simulator.design.solid import stl_bytes
     from simulator.io.files import write_atomic
 
     if not (stl or tiff or layers):
@@ -85,6 +90,8 @@ def export_mask(
         exact = mask.profile == "staircase" or not tolerance_nm
         size = f"{len(body) / 1e6:.1f} MB, heights {'exact' if exact else f'within {tolerance_nm:g} nm'}"
         print(f"wrote {stl} ({size}), in millimetres; to use it:\n  {_as_design(mask, stl, material)}")
+        if len(body) > LARGE_BYTES and not tiff:
+            print(f"note: a height map of the same heights (--tiff) takes {mask.height_m.size * 2e-6:.1f} MB")
     if tiff:
         write_atomic(tiff, image)
         height_um = float(mask.height_m.max() - mask.height_m.min()) * 1e6

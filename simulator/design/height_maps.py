@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.arrays import require_mask_memory
-from simulator.design.export import MAX_SIDE, MAX_TRIANGLES
+from simulator.design.solid import MAX_SIDE, MAX_TRIANGLES
 from simulator.errors import InputError
 from simulator.io.measurements import read_measurement
 

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from psf_library import load_mask
-from simulator.design.export import stl_bytes
+from simulator.design.solid import stl_bytes
 from simulator.errors import InputError
 from simulator.optics.mask import Mask
 from simulator.optics.materials import FUSED_SILICA, PHLATCAM_RESIST

@@ -38,6 +38,15 @@ def test_the_printed_lines_make_the_same_mask(flatlight, phase, tmp_path) -> Non
         np.testing.assert_allclose(again.height_m, original.height_m - original.height_m.min(), rtol=0, atol=8.1e-12)
 
 
+def test_who_writes_a_large_body_is_told_of_the_height_map(flatlight, phase, tmp_path, monkeypatch) -> None:
+    """30 x 30 heights of 16 bits; not said to those who write one."""
+    assert "--tiff" not in flatlight("export-mask", phase, "--stl", tmp_path / "small.stl")[1]
+    monkeypatch.setattr("simulator.commands.masks.LARGE_BYTES", 1000)
+    assert "--tiff" in flatlight("export-mask", phase, "--stl", tmp_path / "a.stl")[1]
+    both = flatlight("export-mask", phase, "--stl", tmp_path / "b.stl", "--tiff", tmp_path / "b.tif")
+    assert "--tiff" not in both[1]
+
+
 def test_a_material_of_ones_own_keeps_its_file(flatlight, trial, tmp_path) -> None:
     (trial.folder / "resist.csv").write_text("wavelength_nm,n\n350,1.6\n500,1.58\n900,1.55\n")
     path = trial.write(camera={"mask": SMALL | {"material": "./resist.csv"}})

@@ -5,11 +5,10 @@ import json
 import numpy as np
 import pytest
 import tifffile
-import trimesh
 from PIL import Image
 
 from psf_library import load_mask
-from simulator.design.export import binary_layers, height_tiff, relief_solid, write_layers
+from simulator.design.export import binary_layers, height_tiff, write_layers
 from simulator.errors import InputError
 from simulator.optics.mask import Mask
 from simulator.optics.materials import PHLATCAM_RESIST
@@ -114,27 +113,3 @@ def test_an_amplitude_mask_is_one_image_of_its_opening(tmp_path):
 def test_clear_glass_is_refused():
     with pytest.raises(InputError, match="flat and open"):
         binary_layers(_mask(np.full((2, 2), 1e-6)))
-
-
-@pytest.mark.parametrize("tolerance_nm", [0, 20, 200])
-def test_a_smooth_body_is_as_small_as_its_tolerance_allows(tolerance_nm):
-    """Heights at all samples by matplotlib's interpolation on the body's own upper triangles; trimesh says it is closed."""
-    from matplotlib.tri import LinearTriInterpolator, Triangulation
-
-    y, x = np.mgrid[:41, :54]
-    mask = _mask(2e-6 * np.exp(-((x - 20) ** 2 + (y - 25) ** 2) / 300), profile="smooth")
-    vertices, faces = relief_solid(mask, 1e-5, tolerance_nm * 1e-9)
-    body = trimesh.Trimesh(vertices * 1e3, faces, process=False)
-    assert body.is_watertight
-    assert body.is_winding_consistent
-    upper = faces[np.cross(*(np.diff(vertices[faces], axis=1)[:, k] for k in (0, 1)))[:, 2] > 0]
-    surface = LinearTriInterpolator(Triangulation(vertices[:, 0], vertices[:, 1], upper), vertices[:, 2])
-    found = surface((x - 26.5) * mask.pitch_m, (20 - y) * mask.pitch_m)
-    relief = np.asarray(mask.height_m, np.float64) - mask.height_m.min()
-    assert not np.ma.is_masked(found)
-    off_m = np.abs(found - relief).max()
-    assert off_m <= tolerance_nm * 1e-9 + 1e-15  # rounding of 1e-6 m in double precision is 1e-22
-    if tolerance_nm:  # what it allows for is this very error
-        assert len(relief_solid(mask, 1e-5, off_m * (1 + 1e-9))[1]) == len(faces)
-    every = 2 * (42 * 55) + 6 * (42 + 55)  # upper triangles, sides and bottom with all samples
-    assert len(faces) == every if tolerance_nm == 0 else len(faces) < every / (2 if tolerance_nm == 20 else 10)

@@ -8,8 +8,8 @@ import tifffile
 import trimesh
 from PIL import Image
 
-from simulator.design.export import relief_solid, stl_bytes
 from simulator.design.height_maps import read_height_map, read_stl_height, read_unit_map
+from simulator.design.solid import stl_bytes
 from simulator.errors import InputError
 from simulator.io.exr import write_exr
 from simulator.optics.mask import Mask
@@ -107,12 +107,6 @@ def _steps(shape=(23, 17), seed=0):
     return np.random.default_rng(seed).integers(0, 6, shape) * np.float32(0.2e-6)
 
 
-def _body(mask, base_m) -> trimesh.Trimesh:
-    """The body in millimetres, as a mesh program merges it."""
-    vertices, faces = relief_solid(mask, base_m)
-    return trimesh.Trimesh(vertices * 1e3, faces, process=True)
-
-
 def _stl(path: Path, mesh: trimesh.Trimesh) -> Path:
     path.write_bytes(mesh.export(file_type="stl"))
     return path
@@ -125,45 +119,6 @@ def _blocks(heights_mm) -> trimesh.Trimesh:
         at = [column + 0.5, -row - 0.5, height / 2]
         boxes.append(trimesh.creation.box((1, 1, height), trimesh.transformations.translation_matrix(at)))
     return trimesh.util.concatenate(boxes)
-
-
-@pytest.mark.parametrize("profile", ["staircase", "smooth"])
-def test_bodies_are_closed_and_of_the_right_size(profile):
-    mask = _mask(_steps(), profile=profile)
-    body = _body(mask, 3e-6)
-    assert body.is_watertight
-    assert body.is_winding_consistent
-    assert body.volume > 0  # faces look outside
-    np.testing.assert_allclose(body.bounds * 1e-3, [[-17e-6, -23e-6, -3e-6], [17e-6, 23e-6, 1e-6]], rtol=1e-6)
-
-
-def test_the_volume_of_a_staircase_is_that_of_its_blocks():
-    """Leaning walls take from one block what they give to the other; corners keep (1/256)^2 of a pixel: 1e-5."""
-    height = _steps()
-    expected_mm3 = (np.sum(height, dtype=np.float64) + height.size * 3e-6) * 4e-12 * 1e9
-    assert _body(_mask(height), 3e-6).volume == pytest.approx(expected_mm3, rel=1e-5)
-
-
-def test_the_volume_of_a_smooth_slope_is_that_of_its_wedge():
-    """A slope of 1 in 10, level over the outer half sample on each side: the mean height is half of the rise, exactly."""
-    height = np.tile(np.arange(20) * 0.2e-6, (5, 1))
-    body = _body(_mask(height, profile="smooth"), 1e-6)
-    assert body.volume == pytest.approx((1e-6 + 1.9e-6) * 40e-6 * 10e-6 * 1e9, rel=1e-6)
-
-
-def test_an_stl_file_of_other_programs_readers_is_a_solid():
-    body = trimesh.load(trimesh.util.wrap_as_stream(stl_bytes(_mask(_steps()), 0.5e-3)), file_type="stl")
-    assert body.is_volume
-
-
-def test_what_has_no_body_is_refused():
-    with pytest.raises(InputError, match=r"^height_m: "):
-        relief_solid(_mask(np.full((3, 3), 1e-6)), 1e-6)
-    for base_m in (0, np.inf):
-        with pytest.raises(InputError, match=r"^base_m: "):
-            relief_solid(_mask(_steps()), base_m)
-    with pytest.raises(InputError, match=r"1200 x 1200 .*11529600 .*2\.2 mm"):
-        relief_solid(_mask(_steps((1200, 1200))), 1e-6)
 
 
 @pytest.mark.parametrize(("profile", "tolerance_m"), [("staircase", 2e-13), ("smooth", 2e-12)])
