@@ -1,4 +1,4 @@
-"""A mask as the files that fabrication takes: a 16 bit height map, an image per height step, or a watertight mesh."""
+"""A mask as the files that lithography takes: a 16 bit height map, or an image per height step (solid bodies: solid.py)."""
 
 from __future__ import annotations
 
