@@ -13,29 +13,9 @@ from simulator import __version__
 from simulator.dataset.manifest import load_manifest
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
-from simulator.io.files import TEMPORARY_PREFIX, sha256_bytes
+from simulator.io.files import sha256_bytes
 from simulator.io.json import canonical_json
 from simulator.validation import renamed
-
-
-def is_own_folder(folder: Path, description: str, kind: str, option: str = "output") -> bool:
-    """Return whether a folder holds a job's description; a new or empty one does not.
-
-    ``description`` names the file that says whose the folder is; ``kind`` ("training") and ``option`` are for messages.
-
-    Raises:
-        InputError: a file, or a folder of other things.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise InputError(option, f"{folder} is a file; choose another folder")
-    if (folder / description).exists():
-        return True
-    names = [each.name for each in sorted(folder.iterdir())] if folder.exists() else []
-    foreign = [name for name in names if not name.startswith(TEMPORARY_PREFIX)]
-    if foreign:
-        there = f"{folder} is not empty and holds no {kind} ({foreign[0]}, ...)"
-        raise InputError(option, f"{there}; choose another folder, or empty it")
-    return False
 
 
 def read_description(path: Path, kind: str) -> dict[str, Any]:

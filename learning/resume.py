@@ -19,10 +19,10 @@ import torch
 from torch import nn
 
 from learning.config import FileSection
-from learning.provenance import is_own_folder, read_description
+from learning.provenance import read_description
 from simulator.dataset.fingerprint import difference
 from simulator.errors import InputError
-from simulator.io.files import remove_leftovers, storage_errors, write_atomic
+from simulator.io.files import is_own_folder, remove_leftovers, storage_errors, write_atomic
 from simulator.io.json import readable_json
 from simulator.io.locks import take_lock
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from learning.provenance import is_own_folder, read_description
+from learning.provenance import read_description
 from simulator.errors import InputError
-from simulator.io.files import storage_errors, write_atomic
+from simulator.io.files import is_own_folder, storage_errors, write_atomic
 from simulator.io.json import readable_json
 
 DESCRIPTION = "evaluation.json"

@@ -14,32 +14,24 @@ from simulator.dataset.dataset_info import FILE
 from simulator.dataset.sample import DESCRIPTION, MEASUREMENT, StoredSample
 from simulator.errors import InputError
 from simulator.io.exr import read_exr
-from simulator.io.measurements import GREY, RGB, Cfa, crop_window, in_colours, read_measured_image
-
-
-def check_binning(binning: int, path: Path, shape: tuple[int, ...], crop_option: str = "--crop") -> None:
-    """Refuse a binning of ``(..., H, W)`` that leaves pixels over: dropped in silence, they would shift image against PSF."""
-    rows, columns = shape[-2:]
-    if not 1 <= binning <= min(rows, columns):
-        raise InputError("binning", f"got {binning}, expected 1 to {min(rows, columns)} pixels per side for {path}")
-    if rows % binning or columns % binning:
-        cure = f"add {crop_option} {rows // binning * binning}x{columns // binning * binning}"
-        raise InputError("binning", f"got {binning}, which does not divide {path} of {rows} x {columns} pixels; {cure}")
-
-
-def binned(light: NDArray[np.floating[Any]], binning: int, path: Path) -> NDArray[np.float64]:
-    """Return the mean of blocks, ``(C, H, W)`` to ``(C, H / binning, W / binning)``."""
-    check_binning(binning, path, light.shape)
-    rows, columns = light.shape[-2:]
-    blocks = light.reshape(-1, rows // binning, binning, columns // binning, binning)
-    return blocks.mean(axis=(2, 4), dtype=np.float64)
-
+from simulator.io.measurements import (
+    GREY,
+    RGB,
+    Cfa,
+    FullScale,
+    check_binning,
+    crop_window,
+    full_scale,
+    in_colours,
+    note_of_full,
+    read_measured_image,
+)
+from simulator.optics.measured import binned
 
 Frame: TypeAlias = Literal["physical", "stored"]
 """As read from the sensor, or rotated by 180 degrees, so that a pinhole's image is upright."""
 Mirror: TypeAlias = Literal["none", "left-right", "up-down"]
 """How a file's image is mirrored against the PSFs'."""
-_MOST_OF_SHARES = 2.0  # noise that was not clipped goes beyond full scale, but not so far
 
 
 @dataclass(frozen=True)
@@ -117,17 +109,14 @@ def load_measurement(
             image, a size that the binning does not divide, or a frame, mirror or mosaic for a sample, which says all itself.
     """
     path = Path(path)
-    if bits is not None and not 1 <= bits <= 32:
-        raise InputError("bits", f"got {bits}, expected 1 to 32, the sensor's bit depth")
     sample = _sample_folder(path)
     notes: tuple[str, ...] = ()
     if sample is None:
         image = read_measured_image(path)
         values, notes = image.values, image.notes
-        if bits is not None and image.cfa is not None:
-            raise InputError("bits", f"got {bits}, but {path} states its own range; leave it out")
-        scale, assumed = _scale(values, bits, path)
-        light = in_colours(image, cfa, path, "--cfa") / scale
+        scale = full_scale(image, bits, path)
+        notes = (*notes, *note_of_full(values, scale.full))
+        light = in_colours(image, cfa, path, "--cfa") / scale.divisor
         if light.shape != values.shape:
             notes = (*notes, f"mosaic {cfa or image.cfa}: each 2 x 2 pixels are one")
         elif cfa not in (None, "none"):
@@ -139,26 +128,29 @@ def load_measurement(
     else:
         stored = StoredSample(sample)
         values, channels, label = stored.measurement()[0], stored.channels, stored.label
-        scale, assumed = (1.0, "as stored: DN / 2^bits") if bits is None else (2.0**bits, "as told")
-        for option, told in (("frame", frame), ("--mirror", None if mirror == "none" else mirror), ("--cfa", cfa)):
+        scale = FullScale(1.0, 1.0, "as stored: DN / 2^bits")
+        mirrored = None if mirror == "none" else mirror
+        for option, told in (("--bits", bits), ("frame", frame), ("--mirror", mirrored), ("--cfa", cfa)):
             if told is not None:
                 raise InputError(option, f"got {told}, but {sample} is a sample, which says that itself; leave it out")
-        frame, light = "stored", values / scale
+        frame, light = "stored", values
         dataset = sample.parents[2] if (sample.parents[2] / FILE).is_file() else None
-    record: dict[str, Any] = {"file": str(path), "shape": list(light.shape), "divided_by": scale, "scale": assumed}
+    record: dict[str, Any] = {"file": str(path), "shape": list(light.shape), "divided_by": scale.divisor}
+    record["scale"] = scale.source
     if notes:
         record["notes"] = list(notes)
     if label is not None:
         record["label"] = label
     if background is not None:
         dark, words = _dark(background, light.shape, path, cfa)
-        light = light - dark / scale
+        light = light - dark / scale.divisor
         record["background"] = words
     if crop is not None:
         light = light[(slice(None), *crop_window(crop, path, (light.shape[-2], light.shape[-1])))]
         record["crop"] = crop
     if binning != 1:
-        light = binned(light, binning, path)
+        check_binning(binning, path, light.shape)
+        light = binned(light, binning)
         record["binning"] = binning
     if mirror != "none":
         if mirror not in get_args(Mirror):
@@ -193,23 +185,6 @@ def _sample_folder(path: Path) -> Path | None:
         what = ours if (path / FILE).is_file() else f"not a sample: it has no {DESCRIPTION}"
         raise InputError(path, f"{what}, e.g. train/0000/s00000000, or an image's file")
     return None
-
-
-def _scale(values: NDArray[Any], bits: int | None, path: Path) -> tuple[float, str]:
-    """Return what full scale is in the file's numbers, and why."""
-    kind = values.dtype
-    if bits is None and kind.kind == "f":
-        if (brightest := float(values.max())) > _MOST_OF_SHARES:
-            wanted = "shares of full scale, 0 to 1; or give --bits, which divides numbers by 2^bits"
-            raise InputError(path, f"got floats up to {brightest:g}, expected {wanted}")
-        return 1.0, "floats, taken as DN / 2^bits"
-    if bits is None and kind.kind == "i":
-        raise InputError(path, f"got signed integers ({kind}), which have no full scale; give --bits, the bit depth")
-    scale = 2.0 ** (bits or 8 * kind.itemsize)
-    top = float(values.max())
-    if top >= scale:
-        raise InputError(path, f"got numbers up to {top:g}, expected at most {scale - 1:g} (--bits {bits})")
-    return scale, "as told" if bits else f"assumed from the file's type, {kind}"
 
 
 def _dark(

@@ -24,7 +24,6 @@ from learning.labels import spoken
 from learning.method import Clock, Method, Progress, choose_device, linear_to_srgb, srgb_to_linear, threads_for
 from learning.models.activitynet import ActivityMethod
 from learning.models.flatnet import LearnedMethod
-from learning.provenance import is_own_folder
 from learning.reconstruct.choice import choose_method
 from learning.reconstruct.inputs import Frame, Measurement, Mirror, Request, load_measurement
 from learning.reconstruct.orientation import check_frame_fits
@@ -33,7 +32,7 @@ from simulator.arrays import to_numpy
 from simulator.config.yaml import parse_scalar
 from simulator.errors import InputError
 from simulator.io.exr import write_exr
-from simulator.io.files import committed_folder, write_atomic
+from simulator.io.files import committed_folder, is_own_folder, write_atomic
 from simulator.io.json import plain, readable_json
 from simulator.plots import drawing
 from simulator.plots.drawing import LEGEND_WIDTH, PAPER, animation_webp, centimetres, depth_colours, png_bytes

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.reconstruct.inputs import Frame, Measurement, Request, check_binning, check_frame
+from learning.reconstruct.inputs import Frame, Measurement, Request, check_frame
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
-from simulator.io.measurements import Cfa
+from simulator.io.measurements import Cfa, check_binning
 from simulator.optics.measured import Background, cut_edges, load_measured_psf, shown_edges
 from simulator.optics.stack import PsfStack, with_channels
 from simulator.optics.stack_files import read_psf_stack

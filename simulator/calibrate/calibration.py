@@ -13,22 +13,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.calibrate.geometry import Distance, Geometry, find_geometry
-from simulator.calibrate.pictures import Picture, find_groups, read_picture
+from simulator.calibrate.pictures import Picture, find_groups, left_out, read_picture
 from simulator.errors import InputError
 from simulator.io.files import sha256_file
+from simulator.io.json import parse_json
 from simulator.io.measurements import GREY, RGB, Cfa
-from simulator.optics.measured import centre_of_mass, cut_edges, rotated, shown_edges
+from simulator.optics.measured import centre_of_mass, check_settings, cut_edges, rotated, shown_edges
 from simulator.optics.registration import FOUND, Registration, relative_exposures
 from simulator.optics.resample import magnified
 from simulator.optics.stack import PsfStack, check_depths
 from simulator.text import length, share
 
+_FORMAT = "flatlight calibration"
 DARK_PEAK = 0.1
 """Share of full scale below which a plane's brightest pixel is too dark: rounding and read noise show."""
 FEW_NOISE = 20.0
 """Brightest pixel over noise below which a plane is too noisy: that is 26 dB."""
 OTHER_LIGHT = 0.15
 """Share by which a plane may be brighter than distance and exposure say before it is noted."""
+_OTHER_BITS = 0.25
+"""Share of what the files' type holds below which all numbers may as well be those of a sensor with fewer bits."""
+_NOISY = 0.01
+"""Share of a plane that is noise below zero from which on it is worth a word."""
+_FINE_PX, _WIDE_PX, _SEEN = (
+    2.0,
+    8.0,
+    3.0,
+)  # light is seen where its mean over a few pixels exceeds so many of its errors
 
 
 @dataclass(frozen=True)
@@ -42,8 +53,9 @@ class Plane:
         peak: brightest value, share of full scale.
         saturated: share of pixels that are full.
         signal_to_noise: brightest pixel of the light over the noise where it is dark.
+        negative_share: share of the light's absolute values that is noise below zero.
         background: what was taken off.
-        centroid_px: ``(x, y)`` of the light, pixels from the grid's origin, as it was recorded.
+        centroid_px: ``(x, y)`` of the light in the stored frame, pixels from the grid's origin, before it was moved.
         exposure: factor by which the plane was brighter than the stack's mean, taken out.
         lamp: the same, divided by what stated exposure and distance explain; None where no exposures are stated.
         faults: why it should be measured again.
@@ -56,6 +68,7 @@ class Plane:
     peak: float
     saturated: float
     signal_to_noise: float
+    negative_share: float
     background: str
     centroid_px: tuple[float, float]
     exposure: float
@@ -66,16 +79,28 @@ class Plane:
 
 @dataclass(frozen=True)
 class Calibration:
-    """The stack, where everything was, and the planes one by one."""
+    """The stack, where everything was, and the planes one by one.
+
+    Attributes:
+        stack: registered, of one exposure.
+        geometry: where mask and sources were.
+        planes: what is known of each distance.
+        offset_m: that was added to the stated distances.
+        notes: on the pictures altogether.
+    """
 
     stack: PsfStack
     geometry: Geometry
     planes: tuple[Plane, ...]
+    offset_m: float = 0.0
+    notes: tuple[str, ...] = ()
 
     def record(self) -> dict[str, Any]:
         """Return all numbers, for calibration.json; unknown ones are null."""
         g = self.geometry
         return {
+            "format": _FORMAT,
+            "offset_m": self.offset_m,
             "mask_to_sensor": _distance(g.distance),
             "mask_to_sensor_with_free_offset": _distance(g.with_offset),
             "depth_scatter_m": _number(g.depth_std_m),
@@ -90,6 +115,7 @@ class Calibration:
                     "peak": round(plane.peak, 5),
                     "saturated": plane.saturated,
                     "signal_to_noise": round(plane.signal_to_noise, 2),
+                    "negative_share": round(plane.negative_share, 5),
                     "background": plane.background,
                     "centroid_px": [round(value, 4) for value in plane.centroid_px],
                     "shift_px": g.shifts_px[k].round(4).tolist(),
@@ -103,7 +129,16 @@ class Calibration:
                 }
                 for k, plane in enumerate(self.planes)
             ],
+            "notes": list(self.notes),
         }
+
+
+def is_record(path: Path) -> bool:
+    """Return whether a file is the `record` of a calibration."""
+    try:
+        return parse_json(path.read_bytes()).get("format") == _FORMAT
+    except (OSError, ValueError, AttributeError):
+        return False
 
 
 def calibrate(
@@ -131,13 +166,15 @@ def calibrate(
         cfa: colours of a mosaic's upper left 2 x 2 pixels.
         binning: pixels (of one colour) per side that become one.
         nominal_m: roughly the distance from mask to sensor, metres; None searches for it.
-        offset_m: what stated distances lack to be from the mask, metres: they were taken from the housing.
+        offset_m: added to the stated distances so that they count from the mask, metres: they were taken from the housing.
         throughput_m2: light that reaches the sensor, see ``load_measured_psf``; None lets each PSF add up to 1 on average.
         progress: called with stage, done and total.
 
     Raises:
-        InputError: for pictures that cannot be read, do not belong together or hold no light.
+        InputError: for settings that make no sense, and pictures that cannot be read, do not belong together or hold no
+            light.
     """
+    check_settings(pixel_pitch_m, pixel_pitch_m**2 if throughput_m2 is None else throughput_m2, binning, frame)
     groups, dark = find_groups(folder, table)
     pictures = []
     for k, group in enumerate(groups):
@@ -155,7 +192,16 @@ def calibrate(
     told = tuple(_plane(*one, geometry, exposures, pictures, depths, grey) for one in enumerate(pictures))
     registration = Registration(geometry.shifts_px, exposures, geometry.matches)
     stack = _stack(folder, planes, depths, pitch_m, registration, told, pictures, throughput_m2, frame, binning, cfa)
-    return Calibration(stack, geometry, told)
+    files = [file for group in (*groups, *dark) for file in group.files]
+    notes = [f"left out: {others}"] if (others := left_out(folder, files)) else []
+    if _of_other_bits(pictures):
+        top = max(picture.brightest for picture in pictures)
+        notes.append(f"the numbers end at {top:g}: give --bits, if the sensor has fewer bits than its files")
+    return Calibration(stack, geometry, told, offset_m, tuple(notes))
+
+
+def _of_other_bits(pictures: list[Picture]) -> bool:
+    return all(picture.guessed and picture.peak < _OTHER_BITS for picture in pictures)
 
 
 def _planes(pictures: list[Picture], frame: str) -> NDArray[np.float32]:
@@ -168,8 +214,25 @@ def _planes(pictures: list[Picture], frame: str) -> NDArray[np.float32]:
             )
         if not picture.light.sum() > 0:
             raise InputError(picture.files[0], "holds no light beyond darkness: was the source covered?")
-    planes = [rotated(picture.light) if frame == "physical" else picture.light for picture in pictures]
-    return np.maximum(np.stack(planes), 0).astype(np.float32)
+    planes = [_not_negative(picture.light, picture.noise) for picture in pictures]
+    return np.stack([rotated(plane) if frame == "physical" else plane for plane in planes]).astype(np.float32)
+
+
+def _not_negative(light: NDArray[np.float64], noise: float) -> NDArray[np.float64]:
+    """Return light ``(C, H, W)`` without values below zero: its local mean where it does not stand out of the noise.
+
+    Noise that is cut off at zero is light, 0.4 of its standard deviation in every pixel: over a whole sensor a tenth of a PSF
+    whose brightest pixel is 50 times the noise. Its mean is none, and keeps what glows more faintly than the noise.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    def blurred(values: NDArray[np.float64], width: float) -> NDArray[np.float64]:
+        return gaussian_filter(values, (0, width, width))
+
+    faint = blurred(light, _FINE_PX) < _SEEN * noise / (2 * np.sqrt(np.pi) * _FINE_PX)
+    there = blurred(faint.astype(np.float64), _WIDE_PX)
+    mean = np.divide(blurred(np.where(faint, light, 0), _WIDE_PX), there, out=np.zeros_like(light), where=faint)
+    return np.maximum(np.where(faint, mean, light), 0)
 
 
 def _plane(
@@ -185,7 +248,7 @@ def _plane(
     snr = float(picture.light.max()) / max(picture.noise, 1e-12)
     if picture.saturated > 0:
         faults.append(f"{share(picture.saturated)} of its pixels are full: expose it for less time")
-    elif picture.peak < DARK_PEAK:
+    elif picture.peak < DARK_PEAK and not _of_other_bits(pictures):
         faults.append(f"its brightest pixel is at {share(picture.peak)} of full scale: expose it for longer")
     if snr < FEW_NOISE:
         faults.append(
@@ -199,11 +262,14 @@ def _plane(
         true = depths[k] + geometry.depth_errors_m[k]
         faults.append(f"its magnification is that of {length(true)}: is the distance right?")
     if k in geometry.off_the_line:
-        x, y = geometry.off_line_m[k] * 1e3
-        notes.append(f"the source was {x:+.2f}, {y:+.2f} mm off the others' line; that is taken out")
+        x, y = geometry.off_line_m[k].round(6) * 1e3 + 0.0  # no minus zero
+        notes.append(f"the source was {x:+.3f}, {y:+.3f} mm off the others' line; that is taken out")
     edges = cut_edges(picture.light.mean(axis=0))  # as the sensor saw it, noise below zero included
     if edges:
         notes.append(f"the PSF is cut: {shown_edges(edges)}")
+    negative = -float(np.minimum(picture.light, 0).sum()) / float(np.abs(picture.light).sum())
+    if negative > _NOISY:
+        notes.append("where its light does not stand out of the noise, the local mean of both is taken")
     lamp = None
     if all(other.exposure_s for other in pictures):
         brightness = exposures * depths**2 / np.array([other.exposure_s for other in pictures])
@@ -221,6 +287,7 @@ def _plane(
         peak=picture.peak,
         saturated=picture.saturated,
         signal_to_noise=snr,
+        negative_share=negative,
         background=picture.background,
         centroid_px=(column, row),
         exposure=float(exposures[k]),

@@ -22,8 +22,12 @@ MISPLACED = 1e-3
 _LEAST_MM, _MOST = 0.05, 1.0  # distances that are tried: from this to this share of the nearest depth
 _COARSE_STEP = 0.008  # of the logarithm of the outermost planes' magnification: one pixel in a half-width of 128
 _COARSE_PX = 256
+_FAR = 0.01  # of a magnification's logarithm: from a start so far off, a match may not have converged
 _FEW = 4  # planes from which on one can be told to be wrong by the others
-_FLOOR = 2e-5  # of a relative magnification: what registration itself errs by, on noiseless images
+_FLOOR, _FLOOR_PX = (
+    2e-5,
+    0.01,
+)  # of a relative magnification and a shift: what registration errs by, on noiseless images
 
 
 @dataclass(frozen=True)
@@ -85,17 +89,22 @@ def find_geometry(
         grey: ``(K, H, W)`` light, background removed.
         depths_m: ``(K,)`` stated depths, increasing.
         pixel_pitch_m: of the images; only lateral distances need it.
-        nominal_m: roughly the distance from mask to sensor, metres; None searches for it.
+        nominal_m: roughly the distance from mask to sensor, metres; None, or one that fits no planes, searches for it.
         use_offset: whether depths are judged with the fitted offset, not as they are stated.
     """
     planes, z = to_numpy(grey), np.asarray(depths_m, np.float64)
     count = len(z)
     start = nominal_m if nominal_m is not None else _searched_distance(planes, z)
+    matches = _matches(planes, z, start)
+    if nominal_m is not None and not all(one.found for one in matches):  # perhaps too far off to start from
+        searched = _searched_distance(planes, z)
+        others = _matches(planes, z, searched)
+        if sum(one.found for one in others) > sum(one.found for one in matches):
+            start, matches = searched, others
     m = 1 + start / z
-    matches = tuple(match(planes[k], planes[k + 1], m[k] / m[k + 1], free_scale=True) for k in range(count - 1))
     found = all(one.found for one in matches)
     chain = np.append(np.cumsum([np.log(one.scale) for one in matches][::-1])[::-1], 0.0)
-    variance = _chain_variance(matches)
+    variance = _own_variance([one.log_scale_std for one in matches], _FLOOR)
     distance = with_offset = None
     errors, spread, misplaced = np.full(count, np.nan), np.nan, ()
     if count > 1 and found:
@@ -112,7 +121,8 @@ def find_geometry(
     shifts = chained_shifts(matches, m)
     centre, centre_std, off_line, off_the_line = None, np.nan, np.full((count, 2), np.nan), ()
     if count > 2 and found and distance is not None:
-        centre, centre_std, off_line, off_the_line = _line(shifts, m, pixel_pitch_m)
+        own = np.sqrt(_own_variance([float(one.shift_std_px.max()) for one in matches], _FLOOR_PX))
+        centre, centre_std, off_line, off_the_line = _line(shifts, m, own, pixel_pitch_m)
     return Geometry(
         matches=matches,
         magnifications=m,
@@ -128,6 +138,18 @@ def find_geometry(
         misplaced=misplaced,
         off_the_line=off_the_line,
     )
+
+
+def _matches(planes: NDArray[np.floating], z: NDArray[np.float64], start: float) -> tuple[Match, ...]:
+    m = 1 + start / z
+    matches = []
+    for k in range(len(z) - 1):
+        scale = m[k] / m[k + 1]
+        found = match(planes[k], planes[k + 1], scale, free_scale=True)
+        if abs(np.log(found.scale / scale)) > _FAR:
+            found = match(planes[k], planes[k + 1], found.scale, free_scale=True)
+        matches.append(found)
+    return tuple(matches)
 
 
 def _searched_distance(planes: NDArray[np.floating], z: NDArray[np.float64]) -> float:
@@ -151,9 +173,9 @@ def _searched_distance(planes: NDArray[np.floating], z: NDArray[np.float64]) -> 
     return float(tried[np.argmax([alike(float(d)) for d in tried])])
 
 
-def _chain_variance(matches: Sequence[Match]) -> NDArray[np.float64]:
-    """Return how uncertain each plane's magnification is against its neighbours', ``(K,)`` variances of its logarithm."""
-    pair = np.array([one.log_scale_std**2 for one in matches]) + _FLOOR**2
+def _own_variance(stds: Sequence[float], floor: float) -> NDArray[np.float64]:
+    """Return the variance ``(K,)`` of each plane against its neighbours from the standard errors of pairs, ``(K - 1,)``."""
+    pair = np.square(stds) + floor**2
     before, after = np.append(pair[:1], pair), np.append(pair, pair[-1:])
     return (before + after) / 2 if len(pair) else np.zeros(1)
 
@@ -258,11 +280,12 @@ def _without_outliers(
 
 
 def _line(
-    shifts_px: NDArray[np.float64], m: NDArray[np.float64], pixel_pitch_m: float
+    shifts_px: NDArray[np.float64], m: NDArray[np.float64], std_px: NDArray[np.float64], pixel_pitch_m: float
 ) -> tuple[NDArray[np.float64], float, NDArray[np.float64], tuple[int, ...]]:
     """Return where the sources' line meets the sensor and how sure that is (pixels), distances from it (metres), outliers.
 
-    Shifts are q + b m where all sources lie on a line through q; a source off it by X moves its image by (m - 1) X.
+    Shifts, known to ``std_px``, are q + b m where all sources lie on a line through q; a source off it by X moves its image
+    by (m - 1) X.
     """
     weight = 1 / (m - 1)  # hands err alike at every distance
     columns = np.stack([weight, m * weight], axis=-1)
@@ -271,7 +294,8 @@ def _line(
         answer = np.linalg.lstsq(columns[part], shifts_px[part] * weight[part, None])[0]
         off = shifts_px * weight[:, None] - columns @ answer
         freedom = 2 * (len(part) - 2)
-        scatter = np.sqrt(np.sum(off[part] ** 2) / max(freedom, 1)) + 1e-6
+        own = np.sqrt(np.mean((std_px * weight)[part] ** 2))  # hands are not told apart from less
+        scatter = max(np.sqrt(np.sum(off[part] ** 2) / max(freedom, 1)), own)
         leverage = np.einsum("ki,ij,kj->k", columns, np.linalg.pinv(columns[part].T @ columns[part]), columns)
         return off, scatter * np.sqrt(1 + leverage), freedom
 

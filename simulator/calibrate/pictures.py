@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -16,18 +17,24 @@ from numpy.typing import NDArray
 
 from simulator.errors import InputError
 from simulator.io.files import read_text
-from simulator.io.measurements import Cfa, in_colours, read_measured_image
+from simulator.io.measurements import (
+    READABLE,
+    Cfa,
+    check_binning,
+    full_pixels,
+    full_scale,
+    in_colours,
+    read_measured_image,
+)
 from simulator.optics.measured import binned, border_level
-from simulator.text import show
+from simulator.text import counted, show
 
 TABLE = "distances.csv"
 """Name of the table that is taken, where the folder has one."""
-SUFFIXES = (".tif", ".tiff", ".png", ".exr", ".npy", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf")
 _UNITS_M = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 _UNITS_S = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
-_DISTANCE = re.compile(r"(?<![\d.])(\d+(?:[.,]\d+)?) ?(um|mm|cm|m)(?![a-z])", re.IGNORECASE)
-_EXPOSURE = re.compile(r"(?<![\d.])(\d+(?:[.,]\d+)?) ?(us|ms|s)(?![a-z])", re.IGNORECASE)
-_PLATEAU = 20  # pixels that share the brightest value: a sensor that is full; noise does not repeat itself so often
+_DISTANCE = re.compile(r"(?<![\d.])(\d+(?:[.,]\d+)?)[ _-]?(um|mm|cm|m)(?![a-z])", re.IGNORECASE)
+_EXPOSURE = re.compile(r"(?<![\d.])(\d+(?:[.,]\d+)?)[ _-]?(us|ms|s)(?![a-z])", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -49,7 +56,9 @@ class Picture:
         files: that were averaged.
         light: ``(1 or C, H, W)`` float64 counts, darkness taken off (negative values are noise), binned.
         pixels: of the sensor, per side of one of ``light``.
-        peak: brightest value as a share of full scale, darkness included.
+        brightest: number in the files, darkness included.
+        peak: the same as a share of full scale.
+        guessed: whether full scale is only what the files' type holds, 16 bits or more.
         saturated: share of the pixels that are full in any file.
         noise: standard deviation of a pixel of ``light`` where it is dark, counts.
         background: what was taken off, in words.
@@ -61,7 +70,9 @@ class Picture:
     files: tuple[Path, ...]
     light: NDArray[np.float64]
     pixels: int
+    brightest: float
     peak: float
+    guessed: bool
     saturated: float
     noise: float
     background: str
@@ -74,9 +85,9 @@ def find_groups(folder: Path, table: Path | None = None) -> tuple[list[Group], l
     Args:
         folder: with the pictures. A name tells the distance (``12.5cm.tif``, ``z120mm_001.png``) and may tell the exposure
             (``30cm_4ms_2.tif``); names that begin with ``dark`` are frames with the source covered.
-        table: CSV with a head of ``file`` and ``distance_cm`` (or ``_mm``, ``_m``), and perhaps ``exposure_ms`` (``_s``,
-            ``_us``), for names that do not tell; rows with no distance, or ``dark``, are dark frames. None takes
-            ``distances.csv`` of the folder, if it is there.
+        table: CSV, separated by commas or semicolons, with a head of ``file`` and ``distance_cm`` (or ``_mm``, ``_m``), and
+            perhaps ``exposure_ms`` (``_s``, ``_us``), for names that do not tell; rows with no distance, or ``dark``, are
+            dark frames. None takes ``distances.csv`` of the folder, if it is there.
 
     Raises:
         InputError: naming the file or line, for what cannot be told, or no pictures at all.
@@ -102,6 +113,13 @@ def find_groups(folder: Path, table: Path | None = None) -> tuple[list[Group], l
     return pictures, [group for group in found if group.distance_m is None]
 
 
+def left_out(folder: Path, files: Iterable[Path]) -> str:
+    """Return how many files of which kinds a folder has beside those that were taken, in words, or nothing."""
+    there = {path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")}
+    kinds = Counter(path.suffix.lower() or path.name for path in there - {*files, folder / TABLE})
+    return ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
+
+
 def read_picture(
     group: Group,
     dark: Sequence[Group],
@@ -115,16 +133,18 @@ def read_picture(
     Args:
         group: the files.
         dark: dark frames; those of the group's exposure are taken, or else the only ones there are.
-        bits: full scale is 2^bits - 1. None takes the type's; a sensor that is full is recognised all the same, by
-            many pixels that share the brightest value.
+        bits: see `full_scale`; a sensor that is full below that is recognised all the same, see `full_pixels`.
         cfa: of a colour sensor's mosaic; each 2 x 2 becomes a pixel.
         binning: pixels per side that become one.
 
     Raises:
-        InputError: a file that cannot be read, is of another size, or holds numbers beyond full scale.
+        InputError: a file that cannot be read, is of another size, holds numbers beyond full scale or does not tell it; or a
+            binning that does not divide the images.
     """
-    recorded = _average(group.files, bits, cfa)
-    darkness, words, notes = _darkness(group, dark, bits, cfa, recorded.mean)
+    recorded = _average(group.files, cfa, bits)
+    check_binning(binning, group.files[0], recorded.mean.shape, crop=None)
+    darkness, dark_noise, words, notes = _darkness(group, dark, cfa, recorded.mean)
+    notes = [*recorded.notes, *notes]
     if recorded.plateau is not None:
         notes.append(
             f"many pixels are {recorded.plateau:g}, the brightest value, and count as full"
@@ -136,9 +156,11 @@ def read_picture(
         files=group.files,
         light=binned(recorded.mean - darkness, binning),
         pixels=binning * (2 if recorded.mosaic else 1),
+        brightest=recorded.brightest,
         peak=recorded.peak,
+        guessed=recorded.guessed,
         saturated=recorded.full_share,
-        noise=recorded.noise / binning,
+        noise=float(np.hypot(recorded.noise, dark_noise)) / binning,
         background=words,
         notes=notes,
     )
@@ -151,58 +173,58 @@ class _Recorded:
     mean: NDArray[np.float64]
     mosaic: bool
     noise: float
+    brightest: float
     peak: float
+    guessed: bool
     full_share: float
     plateau: float | None
+    notes: tuple[str, ...]
 
 
-def _average(files: tuple[Path, ...], bits: int | None, cfa: Cfa | None, *, judge: bool = True) -> _Recorded:
+def _average(files: tuple[Path, ...], cfa: Cfa | None, bits: int | None = None, *, dark: bool = False) -> _Recorded:
+    """Average files; ``dark`` ones are not judged."""
     total: Any = 0.0
     squares: Any = 0.0
     full: Any = False
-    peak, first, plateau, mosaic = 0.0, None, None, False
+    brightest, peak, guessed, plateau, first, mosaic = 0.0, 0.0, False, None, None, False
+    notes: list[str] = []
     for file in files:
         read = read_measured_image(file)
-        image = in_colours(read, cfa, file, judge=judge)
+        image = in_colours(read, cfa, file, "--cfa", judge=not dark)
         first = image if first is None else first
-        mosaic = image.shape != read.values.shape
         if image.shape != first.shape:
             raise InputError(file, f"got {image.shape}, but {files[0].name} has {first.shape}; expected one size")
-        scale = _full_scale(read.values, bits, file)
-        brightest = float(read.values.max())
-        peak = max(peak, brightest / scale)
-        # A mosaic's colours are means of two greens: what is full shows in the pixels as they were read.
-        shared = int(np.count_nonzero(read.values == brightest))
-        level = brightest if shared >= _PLATEAU and brightest > float(np.median(read.values)) else scale
-        if level < scale:
-            plateau = level
-        full = full | (image >= level)
         total, squares = total + image, squares + np.asarray(image, np.float64) ** 2
+        if dark:
+            continue
+        mosaic = image.shape != read.values.shape
+        notes += read.notes
+        scale, top = full_scale(read, bits, file), float(read.values.max())
+        brightest, peak, guessed = max(brightest, top), max(peak, top / scale.full), scale.guessed
+        # A mosaic's colours are means of two greens: what is full shows in the pixels as they were read.
+        filled, level = full_pixels(read.values, scale.full)
+        plateau = level if level < scale.full else plateau
+        rows, columns = image.shape[-2:]
+        side = 2 if mosaic else 1
+        full = full | filled[: rows * side, : columns * side].reshape(rows, side, columns, side).any(axis=(1, 3))
     n, mean = len(files), np.asarray(total / len(files), np.float64)
-    dark = mean <= np.median(mean)
+    faint = mean <= np.median(mean)
     if n > 1:
-        noise = np.sqrt(max(float(np.mean((squares / n - mean**2)[dark])), 0.0) / (n - 1))
+        noise = np.sqrt(max(float(np.mean((squares / n - mean**2)[faint])), 0.0) / (n - 1))
     else:  # neighbours differ by sqrt(2) of the noise, whose mean absolute value is sqrt(2 / pi) of it
-        noise = np.abs(np.diff(mean, axis=-1)[dark[..., 1:]]).mean() * np.sqrt(np.pi) / 2 if mean.shape[-1] > 1 else 0.0
-    return _Recorded(mean, mosaic, float(noise), peak, float(np.mean(full)), plateau)
-
-
-def _full_scale(values: NDArray[Any], bits: int | None, file: Path) -> float:
-    if bits is None:
-        return float(np.iinfo(values.dtype).max) if values.dtype.kind in "ui" else 1.0
-    top = 2.0**bits - 1
-    if values.max() > top:
-        raise InputError("bits", f"got {bits}, but {file} holds {values.max():g}, beyond {top:g}")
-    return top
+        step = np.abs(np.diff(mean, axis=-1)[faint[..., 1:]])
+        noise = step.mean() * np.sqrt(np.pi) / 2 if step.size else 0.0
+    of_files = tuple(dict.fromkeys(notes))
+    return _Recorded(mean, mosaic, float(noise), brightest, peak, guessed, float(np.mean(full)), plateau, of_files)
 
 
 def _darkness(
-    group: Group, dark: Sequence[Group], bits: int | None, cfa: Cfa | None, mean: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], str, list[str]]:
-    """Return what to take off, what that is in words, and what is doubtful about it."""
+    group: Group, dark: Sequence[Group], cfa: Cfa | None, mean: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float, str, list[str]]:
+    """Return what to take off, its noise, what it is in words, and what is doubtful about it."""
     if not dark:
         note = "no dark frames: the median of its border was taken off, which leaves glow and hot pixels"
-        return border_level(mean), "border", [note]
+        return border_level(mean), 0.0, "border", [note]
     own = [one for one in dark if one.exposure_s == group.exposure_s]
     notes = []
     if not own:
@@ -212,11 +234,12 @@ def _darkness(
         own = [dark[int(np.argmin(ratios))]]
         if group.exposure_s is not None or own[0].exposure_s is not None:
             notes.append("its dark frames are of another exposure: record some of its own")
-    darkness = _average(own[0].files, bits, cfa, judge=False).mean
-    if darkness.shape[-2:] != mean.shape[-2:] or len(darkness) not in (1, len(mean)):
-        files = f"{own[0].files[0].name} has {darkness.shape}, {group.files[0].name} {mean.shape}"
+    darkness = _average(own[0].files, cfa, dark=True)
+    level, count = darkness.mean, len(own[0].files)
+    if level.shape[-2:] != mean.shape[-2:] or len(level) not in (1, len(mean)):
+        files = f"{own[0].files[0].name} has {level.shape}, {group.files[0].name} {mean.shape}"
         raise InputError(own[0].files[0], f"{files}; expected dark frames of the pictures' size")
-    return darkness, f"{len(own[0].files)} dark frame{'s' if len(own[0].files) > 1 else ''}", notes
+    return level, darkness.noise, counted(count, "dark frame"), notes
 
 
 # ---- what names and tables tell
@@ -224,7 +247,7 @@ def _darkness(
 
 def _of_names(folder: Path) -> list[tuple[Path, float | None, float | None]]:
     told = []
-    for file in sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES):
+    for file in sorted(path for path in folder.iterdir() if path.suffix.lower() in READABLE):
         if file.name.lower().startswith("dark"):
             told.append((file, None, _only(_EXPOSURE, _UNITS_S, file)))
             continue
@@ -249,23 +272,28 @@ def _si(number: str, unit: float) -> float:
 
 
 def _of_table(folder: Path, table: Path) -> list[tuple[Path, float | None, float | None]]:
-    reader = csv.DictReader(read_text(table, "a table of pictures").splitlines(), skipinitialspace=True)
-    heads = {head.strip(): head for head in reader.fieldnames or []}
+    lines = read_text(table, "a table of pictures").splitlines()
+    separator, decimal = (";", ",") if lines and ";" in lines[0] else (",", ".")  # as spreadsheets of a country save it
+    reader = csv.DictReader(lines, skipinitialspace=True, delimiter=separator)
+    heads = {head.strip().lower(): head for head in reader.fieldnames or []}
     distance, unit_m = _column(heads, "distance", _UNITS_M)
     exposure, unit_s = _column(heads, "exposure", _UNITS_S)
     if "file" not in heads or distance is None:
         got = ", ".join(heads) or "nothing"
         raise InputError(table, f"its head is {got}; expected file, distance_cm and, if you like, exposure_ms")
-    told = []
+    told: dict[Path, tuple[Path, float | None, float | None]] = {}
     for row in reader:
         place = f"{table}:{reader.line_num}"
         name = (row[heads["file"]] or "").strip()
-        if not name or not (folder / name).is_file():
+        file = folder / name
+        if not name or not file.is_file():
             raise InputError(place, f"got the file {show(name)}, which is not in {folder}")
-        distance_m = _cell(row[distance], unit_m, place, darkness=True)
-        exposure_s = None if exposure is None else _cell(row[exposure], unit_s, place)
-        told.append((folder / name, distance_m, exposure_s))
-    return told
+        if file in told:
+            raise InputError(place, f"got the file {show(name)} again; keep one line of each file")
+        distance_m = _cell(row[distance], unit_m, place, decimal, darkness=True)
+        exposure_s = None if exposure is None else _cell(row[exposure], unit_s, place, decimal)
+        told[file] = (file, distance_m, exposure_s)
+    return list(told.values())
 
 
 def _column(heads: dict[str, str], what: str, units: dict[str, float]) -> tuple[str | None, float]:
@@ -275,12 +303,12 @@ def _column(heads: dict[str, str], what: str, units: dict[str, float]) -> tuple[
     return None, 1.0
 
 
-def _cell(text: str | None, unit: float, place: str, *, darkness: bool = False) -> float | None:
+def _cell(text: str | None, unit: float, place: str, decimal: str, *, darkness: bool = False) -> float | None:
     words = (text or "").strip().lower()
     if not words or (darkness and words == "dark"):
         return None
     try:
-        value = float(words) * unit
+        value = float(words.replace(decimal, ".")) * unit
     except ValueError:
         value = math.nan
     if not 0 < value < math.inf:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +16,9 @@ def calibrate(
         Path,
         typer.Argument(help="pictures named by distance (12.5cm.tif, z120mm_4ms_1.png), dark frames (dark_4ms.tif)"),
     ],
-    pixel_um: Annotated[float, typer.Option("--pixel-um", help="pixel pitch of the pictures, micrometres")],
+    pixel_um: Annotated[
+        float, typer.Option("--pixel-um", min=0.1, max=100, help="pixel pitch of the pictures, micrometres")
+    ],
     output: Annotated[
         Path | None, typer.Option("--output", help="folder of stack and report; FOLDER_calibrated when left out")
     ] = None,
@@ -32,31 +35,36 @@ def calibrate(
     ] = None,
     binning: Annotated[int, typer.Option("--binning", min=1, max=64, help="pixels per side that become one")] = 1,
     mask_to_sensor_mm: Annotated[
-        float | None, typer.Option("--mask-to-sensor-mm", help="roughly, to start from; it is searched when left out")
+        float | None,
+        typer.Option(
+            "--mask-to-sensor-mm", min=0.01, max=1000, help="roughly, to start from; it is searched when left out"
+        ),
     ] = None,
     offset_mm: Annotated[
-        float, typer.Option("--offset-mm", help="what stated distances lack to be from the mask")
+        float, typer.Option("--offset-mm", help="added to the stated distances so that they count from the mask")
     ] = 0.0,
     throughput_mm2: Annotated[
-        float | None, typer.Option("--throughput-mm2", help="the mask's open area times its transmittance")
+        float | None,
+        typer.Option("--throughput-mm2", min=1e-6, max=1e6, help="the mask's open area times its transmittance"),
     ] = None,
 ) -> None:
     """Turn pictures of a point source at known distances into a registered PSF stack, and say what to measure again."""
     from simulator.calibrate.calibration import calibrate as run
+    from simulator.calibrate.calibration import is_record
     from simulator.console import Bar
     from simulator.errors import InputError
-    from simulator.io.files import make_folder, write_atomic
+    from simulator.io.files import is_own_folder, make_folder, write_atomic
     from simulator.io.json import readable_json
     from simulator.optics.stack_files import PSF_FOLDER, check_replaceable, write_psf_stack
     from simulator.plots.calibration import calibration_html, describe_calibration
 
     if frame not in ("physical", "stored"):
         raise InputError("--frame", f"got {frame!r}, expected physical or stored")
-    if mask_to_sensor_mm is not None and not 0.01 < mask_to_sensor_mm < 1000:
-        raise InputError("--mask-to-sensor-mm", f"got {mask_to_sensor_mm:g}, expected 0.01 to 1000 mm")
     place = output or folder.absolute().with_name(f"{folder.absolute().name}_calibrated")
     check_output_folder("--output", place)
-    stack_place = place / PSF_FOLDER
+    stack_place, record = place / PSF_FOLDER, place / "calibration.json"
+    if is_own_folder(place, record.name, "calibration", "--output") and not is_record(record):
+        raise InputError("--output", f"{record} is not that of a calibration; choose another folder")
     check_replaceable(stack_place)
     with Bar() as bar:
         found = run(
@@ -74,9 +82,12 @@ def calibrate(
         )
     print(describe_calibration(found))
     make_folder(place)
+    write_atomic(record, readable_json(found.record()))  # first: it says whose the folder is
     write_psf_stack(stack_place, found.stack)
-    write_atomic(place / "calibration.json", readable_json(found.record()))
     write_atomic(place / "report.html", calibration_html(found, folder.absolute().name).encode())
     print(f"\nwrote {place}; look at {place / 'report.html'}")
-    print(f"use it: flatlight reconstruct CAPTURE --method cls --stack {place}")
+    # What holds of the pictures holds of captures by the same camera.
+    options = ["--frame", frame, *(["--bits", str(bits)] * bool(bits)), *(["--cfa", str(cfa)] * bool(cfa))]
+    options += ["--binning", str(binning)] * (binning > 1)
+    print(f"use it: flatlight reconstruct CAPTURE --method cls --stack {shlex.join([str(place), *options])}")
     print(f"or psf: {{measured: {place}}} in a configuration without a mask")

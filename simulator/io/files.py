@@ -113,6 +113,26 @@ def make_folder(folder: Path) -> None:
         sync_folder(made.parent)
 
 
+def is_own_folder(folder: Path, description: str, kind: str, option: str = "output") -> bool:
+    """Return whether a folder holds a job's description; a new or empty one does not.
+
+    ``description`` names the file that says whose the folder is; ``kind`` ("training") and ``option`` are for messages.
+
+    Raises:
+        InputError: a file, or a folder of other things.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(option, f"{folder} is a file; choose another folder")
+    if (folder / description).exists():
+        return True
+    names = [each.name for each in sorted(folder.iterdir())] if folder.exists() else []
+    foreign = [name for name in names if not name.startswith(TEMPORARY_PREFIX)]
+    if foreign:
+        there = f"{folder} is not empty and holds no {kind} ({foreign[0]}, ...)"
+        raise InputError(option, f"{there}; choose another folder, or empty it")
+    return False
+
+
 def sync_folder(folder: Path) -> None:
     """Make renames and new names inside ``folder`` survive a power cut."""
     descriptor = os.open(folder, os.O_RDONLY)

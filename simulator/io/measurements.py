@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from simulator.errors import InputError
 from simulator.io.images import MAX_PIXELS, read_image
+from simulator.text import share
 
 MAX_VALUES = 2**31
 """Most values that are read from one file; a header may claim any size."""
@@ -25,6 +26,8 @@ Cfa: TypeAlias = Literal["RGGB", "BGGR", "GRBG", "GBRG", "none"]
 _ALPHA = "its alpha channel is left out"
 _EXTRA = "pip install 'flatlight[captures]', or in a clone uv run --extra captures"
 _RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw")
+READABLE = (".tif", ".tiff", ".png", ".exr", ".npy", *_RAW)
+"""Suffixes of the files that can be read."""
 
 
 @dataclass(frozen=True)
@@ -271,6 +274,110 @@ def crop_window(crop: str, path: Path, shape: tuple[int, int], option: str = "cr
             raise InputError(option, f"got {crop}, which reaches beyond {of}; make it smaller")
     rows, columns = (slice(start, start + size) for start, size in zip(starts, sizes, strict=True))
     return rows, columns
+
+
+def check_binning(
+    binning: int, path: Path, shape: tuple[int, ...], crop: str | None = "--crop", option: str = "--binning"
+) -> None:
+    """Refuse a binning of ``(..., H, W)`` that leaves pixels over: dropped in silence, they would shift image against PSF.
+
+    ``path``, ``option`` and ``crop``, the option that cures it, None where there is none, are for messages.
+    """
+    rows, columns = shape[-2:]
+    if not 1 <= binning <= min(rows, columns):
+        raise InputError(option, f"got {binning}, expected 1 to {min(rows, columns)} pixels per side for {path}")
+    if rows % binning or columns % binning:
+        cure = f"add {crop} {rows // binning * binning}x{columns // binning * binning}"
+        if crop is None:
+            dividing = [str(n) for n in range(1, binning + 1) if not rows % n and not columns % n]
+            cure = f"take {' or '.join(dividing[-2:])}, or cut the images first"
+        raise InputError(option, f"got {binning}, which does not divide {path} of {rows} x {columns} pixels; {cure}")
+
+
+# ---- full scale
+
+_MOST_BITS = 32
+_MOST_OF_SHARES = 2.0  # noise that was not clipped goes beyond full scale, but not so far
+_PLATEAU = 20  # fewer full pixels are hot ones, or the brightest of an image that was divided by it
+_BESIDE_PLATEAU = 0.01
+
+
+@dataclass(frozen=True)
+class FullScale:
+    """What a file's numbers are shares of.
+
+    Attributes:
+        divisor: makes DN / 2^bits of them.
+        full: the number of a pixel that is full.
+        source: where these are from, in words.
+        guessed: whether nothing but the type says so, which holds 16 bits or more whatever the sensor has.
+    """
+
+    divisor: float
+    full: float
+    source: str
+    guessed: bool = False
+
+
+def full_scale(image: MeasuredImage, bits: int | None, path: Path, option: str = "--bits") -> FullScale:
+    """Return what full scale is in an image's numbers.
+
+    Args:
+        image: what was read from ``path``.
+        bits: the sensor's bit depth, as the user says; None takes unsigned integers of up to 32 bits by their type, and
+            floats as shares.
+        path: for messages.
+        option: what ``bits`` is called.
+
+    Raises:
+        InputError: no bit depth where the numbers do not tell it, or one that they contradict.
+    """
+    kind, top = image.values.dtype, float(image.values.max())
+    if bits is None:
+        if kind.kind == "f":
+            if top > _MOST_OF_SHARES:
+                wanted = f"shares of full scale, 0 to 1; or give {option}, which divides numbers by 2^bits"
+                raise InputError(path, f"got floats up to {top:g}, expected {wanted}")
+            return FullScale(1.0, 1.0, "floats, taken as DN / 2^bits")
+        if kind.kind == "i" or 8 * kind.itemsize > _MOST_BITS:
+            raise InputError(path, f"got numbers of type {kind}, which has no full scale; give {option}, the bit depth")
+        bits, source = 8 * kind.itemsize, f"assumed from the file's type, {kind}"
+        return FullScale(2.0**bits, 2.0**bits - 1, source, guessed=bits > 8)
+    if not 1 <= bits <= _MOST_BITS:
+        raise InputError(option, f"got {bits}, expected 1 to {_MOST_BITS}, the sensor's bit depth")
+    if image.cfa is not None:
+        raise InputError(option, f"got {bits}, but {path} states its own range; leave it out")
+    if kind.kind == "u" and bits > 8 * kind.itemsize:
+        raise InputError(option, f"got {bits}, but {path} has numbers of type {kind}; leave it out")
+    if kind.kind == "f" and 0 < top <= 1 < bits:
+        shown = f"holds floats that reach only {top / 2**bits:.2g} of 2^{bits}"
+        raise InputError(option, f"got {bits}, but {path} {shown}, and seem to be shares of full scale; leave it out")
+    if top >= 2.0**bits:
+        raise InputError(path, f"got numbers up to {top:g}, expected at most {2.0**bits - 1:g} ({option} {bits})")
+    return FullScale(2.0**bits, 2.0**bits - 1, "as told")
+
+
+def full_pixels(values: NDArray[Any], full: float) -> tuple[NDArray[np.bool_], float]:
+    """Return which pixels ``(H, W)`` of an image ``(C, H, W)`` are full in any channel, and from what number on.
+
+    That is ``full``, or the brightest value where more pixels share it than are one per cent darker: 12 bits in 16, or
+    a capture that was scaled, end somewhere below.
+    """
+    brightest = float(values.max())
+    shared = np.count_nonzero(values == brightest)
+    beside = np.count_nonzero(values >= (1 - _BESIDE_PLATEAU) * brightest) - shared
+    if shared >= _PLATEAU and shared > beside and brightest > float(values.min()):
+        full = min(full, brightest)
+    return np.asarray((values >= full).any(axis=0)), full
+
+
+def note_of_full(values: NDArray[Any], full: float) -> tuple[str, ...]:
+    """Return what there is to say of an image ``(C, H, W)`` that is to be reconstructed, or is a PSF, if pixels are full."""
+    filled, level = full_pixels(values, full)
+    if np.count_nonzero(filled) < _PLATEAU:
+        return ()
+    at = "" if level == full else f" (at {level:g}, which so many share)"
+    return (f"{share(float(filled.mean()))} of its pixels are full{at}: the linear model does not hold there",)
 
 
 # ---- a mosaic's colours

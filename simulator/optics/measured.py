@@ -82,7 +82,7 @@ def load_measured_psf(
     """
     depths = np.asarray(depths_m, np.float64)
     check_depths(depths)
-    _check_numbers_given(pixel_pitch_m, throughput_m2, binning, frame)
+    check_settings(pixel_pitch_m, throughput_m2, binning, frame)
     read = _Reading(channels, cfa, crop)
     level = _Background(background, read)
     planes: list[NDArray[np.float64]] = []
@@ -302,7 +302,8 @@ def shown_edges(edges: dict[str, float]) -> str:
     return f"its edges still have {shown} of its mean irradiance"
 
 
-def _check_numbers_given(pixel_pitch_m: float, throughput_m2: float, binning: int, frame: str) -> None:
+def check_settings(pixel_pitch_m: float, throughput_m2: float, binning: int, frame: str) -> None:
+    """Refuse settings of a measured PSF that make no sense, as an InputError naming the argument."""
     if not 1e-8 < pixel_pitch_m < 1e-2:
         raise InputError("pixel_pitch_m", f"got {pixel_pitch_m}, expected metres (2.4 um is 2.4e-6)")
     if not 0 < throughput_m2 < 1:

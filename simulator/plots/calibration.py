@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +23,7 @@ _BIAS = 0.01
 """Relative error of d by a mask's mean power 1 / f, which is d / f and does not show in images. Simulated PhlatCams of 3, 2
 and 1.4 mm have 0.4, 0.9 and 2.2 %, DiffuserCams of 5 and 2.5 mm 0.6 and 2.1 %."""
 _SIGNIFICANT = 3.0  # standard errors
+_PANEL_INCH, _DPI = (5.2, 4.4), 130  # a phone shows one below the other
 _GOOD, _BAD = "#0072b2", "#d55e00"  # told apart by colour-blind eyes too (Okabe and Ito, 2008)
 
 
@@ -38,10 +39,10 @@ def key_facts(calibration: Calibration) -> list[tuple[str, str]]:
     if g.with_offset is None:
         facts.append(("zero of the distances", "unknown: four distances or more tell it"))
     else:
-        facts.append(("zero of the distances", _zero(g.with_offset)))
+        facts.append(("zero of the distances", _zero(g.with_offset, calibration.offset_m)))
     if np.isfinite(g.depth_std_m):
-        scatter = f"by {length(g.depth_std_m)}" if g.depth_std_m > 1e-6 else "by less than the images tell"
-        facts.append(("distances scatter", f"{scatter} (standard deviation) about the fit"))
+        about = f"{length(g.depth_std_m)} (standard deviation) about the fit"
+        facts.append(("scatter of the distances", about if g.depth_std_m > 1e-6 else "below the measurement error"))
     if g.centre_px is not None:
         x, y = g.centre_px
         place = f"meets the sensor {x:+.1f}, {y:+.1f} px from its centre, ± {g.centre_std_px:.2g} px"
@@ -49,9 +50,7 @@ def key_facts(calibration: Calibration) -> list[tuple[str, str]]:
     largest = float(np.linalg.norm(g.shifts_px, axis=1).max())
     facts.append(("planes moved", f"by up to {largest:.2f} px, each known to ± {g.shift_std_px:.2g} px"))
     exposures = [plane.exposure for plane in calibration.planes]
-    facts.append(
-        ("planes were", f"{share(min(exposures))} to {share(max(exposures))} of the mean as bright; made equal")
-    )
+    facts.append(("brightness was", f"{share(min(exposures))} to {share(max(exposures))} of the mean; equalised"))
     return facts
 
 
@@ -59,11 +58,11 @@ def _with_error(found: Distance) -> str:
     std = found.distance_std_m
     digits = int(np.clip(np.ceil(-np.log10(max(std * 1e3, 1e-6))) + 1, 0, 5))
     percent = f"{100 * std / found.distance_m:.2g} %"
-    bias = f"by a mask that focuses as a whole, about {share(_BIAS)} more"
+    bias = f"plus about {share(_BIAS)} if the mask has net focusing power"
     return f"{found.distance_m * 1e3:.{digits}f} ± {std * 1e3:.{digits}f} mm ({percent}; {bias})"
 
 
-def _zero(found: Distance) -> str:
+def _zero(found: Distance, given_m: float) -> str:
     assert found.offset_m is not None
     assert found.offset_std_m is not None
     o, std = found.offset_m * 1e3, found.offset_std_m * 1e3
@@ -71,11 +70,12 @@ def _zero(found: Distance) -> str:
     if found.distance_std_m > 0.2 * found.distance_m:
         return f"not told apart from the mask's distance by this range of distances ({o:+.2g} ± {std:.2g} mm)"
     if abs(o) > _SIGNIFICANT * std:
+        stated = f"stated with --offset-mm {given_m * 1e3:g}" if given_m else "stated"
         return (
-            f"{o:+.2f} ± {std:.2g} mm from the mask: the sources seem to be farther than stated by that; {open_fit}; "
-            f"if that is so, run again with --offset-mm {o:.2f}"
+            f"{o:+.2f} ± {std:.2g} mm from the mask: the sources seem to be {'farther' if o > 0 else 'nearer'} than "
+            f"{stated} by that; {open_fit}; if that is so, run again with --offset-mm {given_m * 1e3 + o:.2f}"
         )
-    return f"at the mask, as far as it shows ({o:+.2f} ± {std:.2g} mm; {open_fit})"
+    return f"at the mask, within the error ({o:+.2f} ± {std:.2g} mm; {open_fit})"
 
 
 def describe_calibration(calibration: Calibration) -> str:
@@ -102,7 +102,7 @@ def describe_calibration(calibration: Calibration) -> str:
         f"measure again: {counted(len(again), 'distance')}" if again else "nothing needs to be measured again",
     ]
     lines += [f"  {length(plane.depth_m)}: {'; '.join(plane.faults)}" for plane in again]
-    noted = _notes(planes)
+    noted = [*calibration.notes, *_notes(planes)]
     lines += ["worth knowing:"] * bool(noted) + [f"  {line}" for line in noted]
     return "\n".join(lines)
 
@@ -140,8 +140,9 @@ def calibration_html(calibration: Calibration, title: str) -> str:
     body = joined(
         [
             paragraph(verdict, "notice" if again else "lead"),
+            *(paragraph(note, "small") for note in calibration.notes),
             section("geometry", "Geometry", facts(key_facts(calibration))),
-            section("pictures", "Pictures", _image(calibration)),
+            section("pictures", "Pictures", _images(calibration)),
             section("distances", "Distances one by one", _table(calibration)),
         ]
     )
@@ -153,8 +154,11 @@ def calibration_html(calibration: Calibration, title: str) -> str:
 <meta name="color-scheme" content="light dark">
 <title>{shown(title)}</title>
 <style>{css}
-img.figure {{ display: block; width: 100%; height: auto; background: #fff; border-radius: 6px; }}
-td:last-child {{ text-align: left; white-space: normal; min-width: 18rem; }}</style>
+.panels {{ display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 19rem), 1fr)); gap: 1rem; }}
+.panels img {{ display: block; width: 100%; height: auto; background: #fff; border-radius: 6px; }}
+td, tbody th {{ white-space: nowrap; }}
+td:last-child {{ white-space: normal; min-width: 18rem; }}
+td .warn {{ margin: 0; }}</style>
 </head>
 <body>
 <header>
@@ -204,37 +208,38 @@ def _table(calibration: Calibration) -> Html:
         )
     caption = (
         "Peak: brightest pixel, of full scale. Farther by: where the magnification puts the source against its stated "
-        "distance. Shift: taken out, so that all sources lie on one axis. Light: against the mean of all; made equal."
+        "distance. Shift: taken out, so that all sources lie on one axis. Light: against the mean of all; equalised."
     )
     return table(caption, heads, rows)
 
 
-def _image(calibration: Calibration) -> Html:
-    png = base64.b64encode(calibration_png(calibration)).decode()
-    described = "PSFs at up to three distances; distances as magnification has them; the source's path; light."
-    return Html(f'<figure><img class="figure" src="data:image/png;base64,{png}" alt="{described}"></figure>')
+def _images(calibration: Calibration) -> Html:
+    images = [
+        Html(f'<img src="data:image/png;base64,{base64.b64encode(png).decode()}" alt="{shown(words)}">')
+        for png, words in calibration_pngs(calibration)
+    ]
+    return Html(f'<div class="panels">{joined(images)}</div>')
 
 
-def calibration_png(calibration: Calibration) -> bytes:
-    """Return the figure: PSFs on one axis above; errors of distance, the source's path and peak values below."""
+def calibration_pngs(calibration: Calibration) -> list[tuple[bytes, str]]:
+    """Return figures and what they show: up to three PSFs on one axis; errors of distance, the source's path, peak values."""
     stack = calibration.stack
     chosen = shown_depths(stack.depths_m)
-    figure = new_figure((15, 9.5), 100)
-    halves: Any = figure.subfigures(2, 1, height_ratios=(5, 4))
-    above, below = halves
-    panels = list(np.atleast_1d(above.subplots(1, len(chosen), squeeze=True)))
+    draw = {"distances by magnification": _draw_distances, "the source's path": _draw_path, "peaks": _draw_peaks}
+    names = [length(stack.depths_m[k]) for k in chosen]
+    figures = [new_figure(_PANEL_INCH, _DPI) for _ in (*chosen, *draw)]
     views = []
-    for k in chosen:
+    for k, name in zip(chosen, names, strict=True):
         psf = to_numpy(stack.values)[k].astype(np.float64)
         colour = _BAD if calibration.planes[k].faults else INK
-        views.append(DepthView(length(stack.depths_m[k]), colour, psf, psf.mean(0), stack.channels))
-    scale = draw_psfs(panels, views, stack.pixel_pitch_m)
-    above.suptitle(scale, x=0.99, ha="right", fontsize=SMALL, color=FAINT)
-    left, middle, right = below.subplots(1, 3)
-    _draw_distances(left, calibration)
-    _draw_path(middle, calibration)
-    _draw_peaks(right, calibration)
-    return figure_png(figure)
+        views.append(DepthView(name, colour, psf, psf.mean(0), stack.channels))
+    scale = draw_psfs([figure.subplots() for figure in figures[: len(views)]], views, stack.pixel_pitch_m)
+    for figure in figures[: len(views)]:
+        figure.supxlabel(scale, x=0.01, ha="left", fontsize=SMALL, color=FAINT)
+    for figure, drawn in zip(figures[len(views) :], draw.values(), strict=True):
+        drawn(figure.subplots(), calibration)
+    words = [*(f"PSF at {name}" for name in names), *draw]
+    return [(figure_png(figure), word) for figure, word in zip(figures, words, strict=True)]
 
 
 def _draw_distances(axes: Axes, calibration: Calibration) -> None:
@@ -265,6 +270,8 @@ def _draw_path(axes: Axes, calibration: Calibration) -> None:
     for k, (x, y) in enumerate(off):
         axes.plot(x, y, "o", color=_BAD if k in calibration.geometry.off_the_line else _GOOD)
         words = length(calibration.planes[k].depth_m)
+        if calibration.geometry.off_the_line and k not in calibration.geometry.off_the_line:
+            continue  # all lie in one place then
         axes.annotate(words, (x, y), (5, 4), textcoords="offset points", fontsize=SMALL, color=FAINT)
     axes.set_aspect("equal", "datalim")
     axes.invert_yaxis()  # down, as images have it
@@ -274,7 +281,7 @@ def _draw_peaks(axes: Axes, calibration: Calibration) -> None:
     head(axes, "Brightest pixel of full scale")
     style(axes, "", "%")
     planes = calibration.planes
-    colours = [_BAD if plane.saturated > 0 or plane.peak < DARK_PEAK else _GOOD for plane in planes]
+    colours = [_BAD if plane.faults else _GOOD for plane in planes]
     axes.bar(range(len(planes)), [100 * plane.peak for plane in planes], color=colours)
     axes.axhline(100, color=FAINT, linewidth=0.8)
     axes.axhline(100 * DARK_PEAK, color=FAINT, linewidth=0.8, linestyle=":")

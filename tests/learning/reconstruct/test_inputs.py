@@ -108,6 +108,22 @@ def test_a_sample_is_read_by_its_folder_or_its_file_and_knows_its_data_set(tiny_
         assert (found.channels, found.dataset, found.path) == (("R", "G", "B"), tiny_dataset, dataset.folder(1))
 
 
+def test_full_pixels_are_noted(tmp_path: Path) -> None:
+    values = np.random.default_rng(0).integers(0, 3000, (1, 40, 50)).astype(np.uint16)
+    values[0, :4, :10] = 4095
+    path = write(tmp_path / "m.tif", values)
+    for bits in (12, None):  # 12 bits in 16 are told, or seen by how many share the brightest value
+        (note,) = load_measurement(path, bits=bits).record["notes"]
+        assert note.startswith("2 % of its pixels are full")
+    (note,) = load_measurement(write(tmp_path / "m.npy", values / 4095)).record["notes"]
+    assert note.startswith("2 % of its pixels are full")
+
+
+def test_a_sample_says_its_bits_itself(tiny_dataset: Path) -> None:
+    with pytest.raises(InputError, match=r"^--bits: "):
+        load_measurement(open_dataset(tiny_dataset, "test").folder(1), bits=12)
+
+
 @pytest.mark.parametrize(
     ("suffix", "values", "options", "message"),
     [
@@ -118,10 +134,13 @@ def test_a_sample_is_read_by_its_folder_or_its_file_and_knows_its_data_set(tiny_
         (".tif", np.full((1, 4, 4), 4096, np.uint16), {"bits": 12}, r"m\.tif: "),
         (".npy", np.full((4, 4), 255.0), {}, r"m\.npy: "),
         (".exr", np.full((3, 4, 4), 2.5), {}, r"m\.exr: "),
-        (".tif", np.ones((1, 4, 4), np.uint16), {"bits": 0}, "^bits: "),
-        (".tif", np.ones((1, 5, 8), np.uint16), {"binning": 3}, "^binning: "),
-        (".tif", np.ones((1, 5, 8), np.uint16), {"binning": 0}, "^binning: "),
-        (".tif", np.ones((1, 5, 8), np.uint16), {"binning": 9}, "^binning: "),
+        (".tif", np.ones((1, 4, 4), np.uint16), {"bits": 0}, "^--bits: "),
+        (".tif", np.ones((1, 4, 4), np.uint8), {"bits": 12}, "^--bits: "),
+        (".npy", np.full((4, 4), 0.5), {"bits": 12}, "^--bits: "),
+        (".npy", np.ones((4, 4), np.uint64), {}, r"m\.npy: "),
+        (".tif", np.ones((1, 5, 8), np.uint16), {"binning": 3}, "^--binning: "),
+        (".tif", np.ones((1, 5, 8), np.uint16), {"binning": 0}, "^--binning: "),
+        (".tif", np.ones((1, 5, 8), np.uint16), {"binning": 9}, "^--binning: "),
         (".tif", np.ones((1, 5, 8), np.uint16), {"crop": "6x8"}, "^crop: "),
         (".tif", np.ones((1, 5, 8), np.uint16), {"crop": "5x8+1+0"}, "^crop: "),
         (".tif", np.ones((1, 5, 8), np.uint16), {"crop": "all"}, "^crop: "),

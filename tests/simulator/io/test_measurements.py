@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from simulator.errors import InputError
-from simulator.io.measurements import looks_like_a_mosaic, read_measured_image, read_measurement, superpixels
+from simulator.io.measurements import (
+    MeasuredImage,
+    full_pixels,
+    full_scale,
+    looks_like_a_mosaic,
+    read_measured_image,
+    read_measurement,
+    superpixels,
+)
 
 ROWS, COLUMNS = 32, 48
 RNG = np.random.default_rng(3)
@@ -193,3 +201,20 @@ def test_colours_are_refused_where_one_channel_is_wanted(tmp_path: Path) -> None
     OpenEXR.File({}, {n: RNG.random((4, 4)).astype(np.float32) for n in "RGB"}).write(str(tmp_path / "m.exr"))
     with pytest.raises(InputError, match=r"m\.exr: "):
         read_measurement(tmp_path / "m.exr", ("Y",))
+
+
+def test_a_smooth_capture_of_few_codes_is_not_full() -> None:
+    """In 8 bits a bright spot's top is one code wide; clipped at three quarters of its height, it is full."""
+    y, x = np.mgrid[-100:100, -100:100]
+    spot = 200 * np.exp(-(x**2 + y**2) / (2 * 60.0**2))
+    as_it_is, clipped = (np.round(light).astype(np.uint8)[None] for light in (spot, np.minimum(spot, 150)))
+    assert np.count_nonzero(as_it_is == 200) > 20
+    assert not full_pixels(as_it_is, 255.0)[0].any()
+    filled, level = full_pixels(clipped, 255.0)
+    assert level == 150
+    assert np.array_equal(filled, np.round(spot) >= 150)
+
+
+def test_a_raw_file_states_its_range_itself(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"^--bits: "):
+        full_scale(MeasuredImage(np.full((1, 4, 4), 0.5), cfa="RGGB"), 12, tmp_path)
