@@ -424,29 +424,36 @@ def in_colours(
     return image.values
 
 
-_BLOCK = 8  # of the 2 x 2, each way
-_BLOCKS, _LIT = 16, 0.05  # fewer blocks that are as bright as this share of the brightest say nothing
-_APART = 0.02  # rms, of the light; columns that are read by two converters differ by less
-_AGREE = 0.9
+_BLOCK = 16  # pixels each way
+_APART = 0.01  # of the light; a grey sensor's converters differ by less, and DiffuserCam's hand by 0.0014
+_LIKE, _SURE = 0.3, 4.0  # correlation, and the same over what chance makes of it
 
 
 def looks_like_a_mosaic(image: NDArray[Any]) -> bool:
     """Return whether a grey image ``(1, H, W)`` seems to be the mosaic of a colour sensor.
 
-    The four places of its 2 x 2 pixels then differ in brightness in much the same way all over the image, where a grey
-    sensor's differ by noise and detail; light to which a mosaic's colours respond alike looks grey, and is.
+    In a Bayer mosaic (red - blue) / 4 changes its sign from column to column and, as much, from row to row, for the greens
+    lie on one diagonal; and (2 green - red - blue) / 4 changes as on a chessboard, by much the same share of the light
+    everywhere (Alleysson, Suesstrunk and Herault, Linear demosaicing inspired by the human visual system, IEEE TIP 2005). Of
+    a grey sensor the parts of these frequencies in blocks of the image are noise and detail, which know nothing of each
+    other, or those of columns alone, which two converters read. Noise lowers the correlations, but does not shift them. Light
+    to which a mosaic's colours respond alike looks grey, and is.
     """
-    rows, columns = (size // (2 * _BLOCK) for size in image.shape[-2:])
-    if rows * columns < _BLOCKS:
+    rows, columns = (size // _BLOCK for size in image.shape[-2:])
+    part = image[0, : rows * _BLOCK, : columns * _BLOCK].astype(np.float64).reshape(rows, _BLOCK, columns, _BLOCK)
+    if part.size == 0 or np.ptp(part) == 0:
         return False
-    part = image[0, : rows * 2 * _BLOCK, : columns * 2 * _BLOCK].astype(np.float64)
-    # (place in 2 x 2, block): the light above the image's darkest.
-    places = part.reshape(rows, _BLOCK, 2, columns, _BLOCK, 2).mean(axis=(1, 4)) - np.percentile(part, 1)
-    places = places.transpose(1, 3, 0, 2).reshape(4, -1)
-    light = places.mean(axis=0)
-    lit = light > _LIT * light.max(initial=0)
-    if np.count_nonzero(lit) < _BLOCKS:
-        return False
-    differences = (places[:, lit] - light[lit]) / light[lit]
-    usual = differences.mean(axis=1)
-    return bool(np.sqrt(np.mean(usual**2)) > _APART and np.mean(usual @ differences > 0) > _AGREE)
+    mean = np.hanning(_BLOCK + 2)[1:-1]  # without steps, or slopes of the image would look like changes
+    windows = np.stack([mean, mean * (-1.0) ** np.arange(_BLOCK)]) / mean.sum()
+    found = np.einsum("iajb,pa,qb->pqij", part, windows, windows, optimize=True).reshape(4, -1)
+    light, by_columns, by_rows, chessboard = found - np.percentile(part, 1) * np.eye(4, 1)
+    power = np.sum(light**2)
+    pairs = ((by_columns, by_rows, _APART**2 * power), (chessboard, light, _APART * power))
+    return any(_related(one, other, least) for one, other, least in pairs)
+
+
+def _related(one: NDArray[np.float64], other: NDArray[np.float64], least: float) -> bool:
+    """Return whether two values of many blocks are related, and their products add up to more than the least."""
+    products = one * other
+    total, chance = abs(products.sum()), np.sqrt(np.sum(products**2))
+    return bool(total > max(least, _SURE * chance, _LIKE * np.sqrt(np.sum(one**2) * np.sum(other**2))))

@@ -14,6 +14,8 @@ import pytest
 import tifffile
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.ndimage import gaussian_filter
+from scipy.signal import fftconvolve
 
 from simulator.errors import InputError
 from simulator.io.measurements import (
@@ -176,18 +178,59 @@ def test_a_red_image_is_the_scene_through_the_red_psf_exactly() -> None:
         assert np.allclose(channel, convolve2d(scene[::2, ::2], kernel)[:21, :21], rtol=1e-12)
 
 
-def test_mosaics_are_recognised_and_grey_captures_are_not() -> None:
-    scene = np.kron(RNG.random((12, 16)) ** 2, np.ones((16, 16)))
-    noise = RNG.normal(0, 0.01, scene.shape)
-    gain = np.ones_like(scene)
-    for k, (place, gains) in enumerate(zip(((0, 0), (0, 1), (1, 0), (1, 1)), (0.6, 1, 1, 0.7), strict=True)):
-        gain[place[0] :: 2, place[1] :: 2] = gains
-        assert k < 4
-    assert looks_like_a_mosaic((100 + 900 * (scene * gain + noise))[None])
-    assert not looks_like_a_mosaic((100 + 900 * (scene + noise))[None])
+def through(psf: NDArray[Any], colours: NDArray[Any]) -> NDArray[Any]:
+    """Return three boxes of these colours ``(3, 3)`` as a sensor sees them through a PSF, ``(3, 128, 192)``, at most 1."""
+    scene = np.zeros((3, 128, 192))
+    for colour, (top, left) in zip(colours, ((20, 40), (60, 100), (45, 20)), strict=True):
+        scene[:, top : top + 40, left : left + 40] += colour[:, None, None]
+    seen = np.stack([fftconvolve(channel, psf, "same") for channel in scene])
+    return seen / seen.max()
+
+
+def exposed(light: NDArray[Any], electrons: int, rng: np.random.Generator) -> NDArray[np.uint16]:
+    """Return what a sensor of 2.5 electrons read noise and a black level of 100 stores, ``(1, H, W)``."""
+    return np.round(100 + rng.poisson(light.clip(0) * electrons) + rng.normal(0, 2.5, light.shape)).astype(np.uint16)[
+        None
+    ]
+
+
+DIFFUSER = gaussian_filter(np.random.default_rng(4).random((128, 192)) ** 6, 1.2)
+FLATCAM = np.pad(  # features of 2 pixels, that no 2 x 2 of the sensor holds
+    np.kron(
+        np.outer(*(np.random.default_rng(seed).random(n) > 0.5 for seed, n in ((0, 32), (1, 48)))), np.ones((2, 2))
+    ),
+    ((33, 31), (49, 47)),
+)
+
+
+@pytest.mark.parametrize("electrons", [20_000, 100])
+@pytest.mark.parametrize("psf", [DIFFUSER, FLATCAM])
+@pytest.mark.parametrize(
+    "colours", [np.eye(3), np.full((3, 3), 1.0), [[1, 0.4, 0.1], [0.1, 0.6, 0.2], [0.3, 0.3, 0.9]]]
+)
+def test_mosaics_are_recognised_and_grey_captures_are_not(psf: NDArray[Any], colours: Any, electrons: int) -> None:
+    """Whatever the scene's colours, at low light too; white light is seen by the sensor's response to it."""
+    rng = np.random.default_rng(1)
+    seen = through(psf, np.asarray(colours))
+    for response in ((0.7, 1, 0.6), (0.9, 1, 0.8)):
+        for cfa in ("RGGB", "GBRG"):
+            mosaic = np.zeros(seen.shape[1:])
+            for k, colour in enumerate(cfa):
+                place = np.s_[k // 2 :: 2, k % 2 :: 2]
+                mosaic[place] = seen["RGB".index(colour)][place] * response["RGB".index(colour)]
+            assert looks_like_a_mosaic(exposed(mosaic, electrons, rng))
+    grey = seen.mean(axis=0)
+    assert not looks_like_a_mosaic(exposed(grey, electrons, rng))
+    grey[:, ::2] *= 0.98  # read by two converters
+    assert not looks_like_a_mosaic(exposed(grey, electrons, rng))
+    assert not looks_like_a_mosaic(psf[None])
+
+
+def test_an_image_that_says_little_is_taken_as_grey() -> None:
     spots = np.zeros((256, 256))
     spots[100:103, 40:42] = 1  # a pinhole's PSF, on few pixels
-    assert not looks_like_a_mosaic(spots[None])
+    for image in (spots, np.ones((256, 256)), np.ones((8, 8))):
+        assert not looks_like_a_mosaic(image[None])
 
 
 @pytest.mark.parametrize("shape", [(2, 3, 4, 5), (5, ROWS, COLUMNS), (ROWS, COLUMNS, 7), (0, 3), (4,)])
