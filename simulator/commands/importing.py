@@ -18,10 +18,8 @@ _EXAMPLE_SIZE = "[128, 128]"
 
 
 def import_check(
-    check: Annotated[
-        Path,
-        typer.Option("--check", metavar="PATH", help="folder, film or table to read and report on", show_default=False),
-    ],
+    path: Annotated[Path, typer.Argument(help="folder, film or table to read and report on", show_default=False)],
+    check: Annotated[bool, typer.Option("--check", help="read and report, as without it")] = False,
     source: Annotated[
         str | None,
         typer.Option("--source", metavar="NAME", help="importer; found by the folder's layout when left out"),
@@ -38,19 +36,19 @@ def import_check(
     from simulator.importers.inspection import choose, find_candidates, run_survey
     from simulator.plugins import resolve
 
-    if not check.exists():
-        raise InputError("--check", f"there is no file or folder {check}; expected a data set in its original layout")
+    if not path.exists():
+        raise InputError(path, "there is no such file or folder; expected a data set in its original layout")
     options, _ = apply_overrides(parse_yaml("{}", "--set"), set_ or [], "--set")
     with Bar() as bar:
         if source is not None:
             plugin = resolve("source", source)
         else:
-            candidates = find_candidates(check)
+            candidates = find_candidates(path)
             for line in candidates.broken:
                 bar.say(f"warning: this source cannot be asked: {line}")
-            plugin = choose(check, candidates)
-            print(f"{check} looks like\n{candidates}", flush=True)
-        survey = run_survey(plugin, check, options, lambda done, total: bar.update("read", done, total))
+            plugin = choose(path, candidates)
+            print(f"{path} looks like\n{candidates}", flush=True)
+        survey = run_survey(plugin, path, options, lambda done, total: bar.update("read", done, total))
     print(survey)
     if not survey.usable:
         raise InputError(survey.path, "nothing can be used; mend the problems above, or check the path")
@@ -58,7 +56,7 @@ def import_check(
         raise InputError(
             survey.path, f"{len(survey.problems)} problems, see above; mend them, or go on with --skip-bad"
         )
-    print(_usage(plugin, check, options, survey))
+    print(_usage(plugin, path, options, survey))
 
 
 def _usage(plugin: Plugin, path: Path, options: dict[str, Any], survey: Survey) -> str:

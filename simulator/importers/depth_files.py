@@ -39,7 +39,9 @@ def read_chart(path: Path) -> NDArray[Any]:
 
 
 def one_channel(values: NDArray[Any], path: Path) -> NDArray[Any]:
-    """Return the one channel that colour channels repeat, ``(H, W, 1 to 4)`` -> ``(H, W)``; a fourth is alpha.
+    """Return the one channel that colour channels repeat, ``(H, W, 1 to 4)`` -> ``(H, W)``.
+
+    The second of two, and a fourth, is alpha.
 
     Raises:
         InputError: naming the file, when channels differ.
@@ -47,9 +49,8 @@ def one_channel(values: NDArray[Any], path: Path) -> NDArray[Any]:
     if values.ndim != 3:
         return values
     first = values[..., 0]
-    if not all(
-        np.array_equal(first, values[..., channel], equal_nan=True) for channel in range(1, values.shape[2])[:2]
-    ):
+    others = (1, 2) if values.shape[2] > 2 else ()
+    if not all(np.array_equal(first, values[..., channel], equal_nan=True) for channel in others):
         raise InputError(path, "it has coloured pixels; expected a depth chart in grey, with red = green = blue")
     return first
 

@@ -24,6 +24,18 @@ GREY = ("grey",)
 Cfa: TypeAlias = Literal["RGGB", "BGGR", "GRBG", "GBRG", "none"]
 """Colours of a mosaic's upper left 2 x 2 pixels, as the file has them; none of an image that is no mosaic."""
 _ALPHA = "its alpha channel is left out"
+_DEPTHS = (
+    "PSFs of several depths are a stack's folder: `flatlight calibrate` makes it of pictures, `flatlight psf --output` of "
+    "psf: {measured: ..., depths_cm: [...]}"
+)
+_PALETTE = "holds the numbers of colours in a palette"
+_NOT_LINEAR = {  # photometric interpretation or compression of TIFF
+    "MINISWHITE": "holds 0 for white",
+    "PALETTE": _PALETTE,
+    "SEPARATED": "holds the inks of a print (CMYK)",
+    "JPEG": (lossy := "is compressed by JPEG, with loss"),
+    "OJPEG": lossy,
+}
 _EXTRA = "pip install 'flatlight[captures]', or in a clone uv run --extra captures"
 _RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw")
 READABLE = (".tif", ".tiff", ".png", ".exr", ".npy", *_RAW)
@@ -66,11 +78,11 @@ def read_measured_image(path: Path, channels: tuple[str, ...] = RGB) -> Measured
     if suffix == ".exr":
         found = MeasuredImage(_read_exr(path, channels))
     elif suffix == ".npy":
-        found = _channels_first(read_npy(path), len(channels), path)
+        found = _channels_first(read_npy(path), channels, path)
     elif suffix == ".png":
         found = _read_png(path)
     elif suffix in (".tif", ".tiff"):
-        found = _channels_last(read_tiff(path), len(channels), path)
+        found = _channels_last(read_tiff(path), channels, path)
     elif not path.exists():
         raise InputError(path, "there is no such file or folder")
     else:
@@ -93,22 +105,25 @@ def read_measurement(path: Path, channels: tuple[str, ...]) -> NDArray[Any]:
     return image.values
 
 
-def _channels_first(image: NDArray[Any], count: int, path: Path) -> MeasuredImage:
+def _channels_first(image: NDArray[Any], channels: tuple[str, ...], path: Path) -> MeasuredImage:
     """Return an array of one image, its channels first or last, or a stack of one such image, as ``(C, H, W)``."""
     shape = image.shape
     while image.ndim > 3 and len(image) == 1:
         image = image[0]
-    if image.ndim == 3 and len(image) in (1, 3, count):
-        return MeasuredImage(image)
-    found = _channels_last(image, count, path)
-    if image.ndim == 2:
+    if image.ndim == 3 and len(image) in (1, 3, len(channels)):
+        axis, found = "first", MeasuredImage(image)
+    else:
+        axis, found = "last", _channels_last(image, channels, path)
+    if image.ndim == 2 or (axis == "first" and len(image) == 1):
         return found
-    return replace(found, notes=(f"{' x '.join(map(str, shape))}: its last axis is the channels'", *found.notes))
+    names = channels if len(found.values) == len(channels) else RGB if len(found.values) == 3 else GREY
+    note = f"{' x '.join(map(str, shape))}: its {axis} axis is taken as {', '.join(names)}"
+    return replace(found, notes=(note, *found.notes))
 
 
-def _channels_last(image: NDArray[Any], count: int, path: Path) -> MeasuredImage:
+def _channels_last(image: NDArray[Any], channels: tuple[str, ...], path: Path) -> MeasuredImage:
     """Return ``(H, W)`` or ``(H, W, C)`` as ``(C, H, W)``, without alpha."""
-    counts = {1, 3, count}
+    counts = {1, 3, len(channels)}
     if image.ndim == 2:
         return MeasuredImage(image[None])
     if image.ndim == 3 and image.shape[2] in counts:
@@ -116,7 +131,8 @@ def _channels_last(image: NDArray[Any], count: int, path: Path) -> MeasuredImage
     if image.ndim == 3 and image.shape[2] - 1 in counts:
         return MeasuredImage(np.moveaxis(image, -1, 0)[:-1], (_ALPHA,))
     wanted = " or ".join(map(str, sorted(counts)))
-    raise InputError(path, f"got an array {image.shape}; expected one image of {wanted} channels")
+    cure = f"; {_DEPTHS}" if image.ndim > 2 else ""
+    raise InputError(path, f"got an array {image.shape}; expected one image of {wanted} channels{cure}")
 
 
 def read_npy(path: Path) -> NDArray[Any]:
@@ -154,7 +170,9 @@ def check_numbers(image: NDArray[Any], path: Path) -> NDArray[Any]:
 def _read_png(path: Path) -> MeasuredImage:
     image = read_image(path)
     with path.open("rb") as file:
-        kind = file.read(26)[25]  # of the header: 4 is grey with alpha, 6 RGB with alpha
+        kind = file.read(26)[25]  # of the header: 3 is a palette, 4 grey with alpha, 6 RGB with alpha
+    if kind == 3:
+        raise InputError(path, f"{_PALETTE}; save it as grey or RGB")
     notes = (_ALPHA,) if kind in (4, 6) else ()
     return MeasuredImage(image[None] if image.ndim == 2 else np.moveaxis(image, -1, 0), notes)
 
@@ -163,7 +181,8 @@ def read_tiff(path: Path) -> NDArray[Any]:
     """Read the one image of a TIFF file, ``(H, W)`` or ``(H, W, C)``.
 
     Raises:
-        InputError: naming the file, when it is broken, too large, or of several pages.
+        InputError: naming the file, when it is broken, too large, of several pages, or of numbers that are no light (a
+            palette's, inks, white as 0, or with the losses of JPEG).
     """
     import tifffile
 
@@ -171,9 +190,11 @@ def read_tiff(path: Path) -> NDArray[Any]:
         with tifffile.TiffFile(path) as file:
             pages = len(file.pages)
             if pages != 1:
-                raise InputError(path, f"got {pages} pages; expected one image: save one TIFF per depth, or one .npy")
+                raise InputError(path, f"got {pages} pages; expected one image; {_DEPTHS}")
             page = file.pages.first
             _check_size(page.shape, path)
+            if reason := _NOT_LINEAR.get(page.photometric.name, _NOT_LINEAR.get(page.compression.name)):
+                raise InputError(path, f"{reason}; save it as grey or RGB, black as 0, without loss")
             try:
                 image, axes = page.asarray(), page.axes
             except ValueError as error:
@@ -189,7 +210,7 @@ def read_tiff(path: Path) -> NDArray[Any]:
 
 
 def _by_pillow(path: Path, page: Any) -> NDArray[Any]:
-    """Read a compressed TIFF (LZW, JPEG) whose codec tifffile lacks, if Pillow holds its pixels without loss."""
+    """Read a compressed TIFF (LZW) whose codec tifffile lacks, if Pillow holds its pixels without loss."""
     from PIL import Image
 
     if page.bitspersample == 8 or (page.samplesperpixel == 1 and page.dtype in (np.uint16, np.float32)):
@@ -387,7 +408,7 @@ def superpixels(mosaic: NDArray[Any], cfa: Cfa) -> NDArray[np.float64]:
     """Return red, green and blue ``(3, H // 2, W // 2)`` of a mosaic ``(1, H, W)``: a pixel for each of its 2 x 2.
 
     Green is the mean of its two. Nothing is interpolated: in a PSF that is read alike every colour has the same places, so
-    the red image is the scene through the red PSF exactly.
+    the red image is the scene through the red PSF, as far as neither has detail finer than 2 pixels.
     """
     rows, columns = (size // 2 * 2 for size in mosaic.shape[-2:])
     phases = [mosaic[0, i:rows:2, j:columns:2].astype(np.float64) for i in (0, 1) for j in (0, 1)]

@@ -36,6 +36,8 @@ def test_a_good_folder(flatlight, davis_root) -> None:
     assert "6 (3 to 3 per video, median 3)" in out
     assert "problem" not in out
     assert "read: 6 of 6" in err
+    for words in (("--check",), ()):
+        assert flatlight("import", davis_root, *words)[1] == out
 
 
 def test_the_line_to_use_is_yaml_that_loads(flatlight, davis_root, tmp_path, make_trial) -> None:

@@ -12,6 +12,7 @@ import tifffile
 from PIL import Image
 
 from simulator.errors import InputError
+from simulator.importers.depth_files import read_chart
 from simulator.importers.flyingthings3d import flyingthings3d
 from simulator.importers.rgb_depth import recognises, survey
 from simulator.plugins import ParameterError, resolve
@@ -118,6 +119,11 @@ class TestCodings:
         (tmp_path / "depth").mkdir()
         Image.fromarray(CODES).save(tmp_path / "depth/0001.tif", compression="tiff_lzw")
         np.testing.assert_allclose(clip_of(tmp_path).depth_m[0], CODES * 1e-3, rtol=2**-23)
+
+    def test_grey_with_alpha(self, tmp_path):
+        depth = np.arange(6, dtype=np.uint16).reshape(2, 3)
+        tifffile.imwrite(tmp_path / "m.tif", np.dstack([depth, np.full_like(depth, 9)]), extrasamples="unassalpha")
+        assert np.array_equal(read_chart(tmp_path / "m.tif"), depth)
 
     def test_an_exr_of_blender_holds_depth_three_times(self, tmp_path):
         metres = RNG.uniform(0.02, 0.4, SHAPE).astype(np.float32)

@@ -52,7 +52,9 @@ def test_npy_in_the_shapes_that_people_save(tmp_path: Path, image: NDArray[Any],
     np.save(tmp_path / "m.npy", saved)
     found = read_measured_image(tmp_path / "m.npy")
     assert np.array_equal(found.values, first(image))
-    assert bool(found.notes) == (shape != "channels first")
+    axis, names = "first" if shape == "channels first" else "last", "grey" if image.ndim == 2 else "R, G, B"
+    said = [] if (axis, names) == ("first", "grey") else [f"its {axis} axis is taken as {names}"]
+    assert [note.split(": ")[1] for note in found.notes] == said
 
 
 @pytest.mark.parametrize("extra", [{}, {"A": ALPHA_16}])
@@ -119,6 +121,19 @@ def test_a_grey_capture_saved_as_colours_is_grey(tmp_path: Path) -> None:
     assert found.notes
 
 
+@pytest.mark.parametrize("kind", ["white is 0", "palette", "palette.png", "inks", "JPEG"])
+def test_numbers_that_are_not_light_are_refused(tmp_path: Path, kind: str) -> None:
+    path, colours = tmp_path / f"m{'.png' if kind.endswith('.png') else '.tif'}", Image.fromarray(RGB_8)
+    if kind == "white is 0":
+        tifffile.imwrite(path, GREY_16, photometric="miniswhite")
+    elif kind == "JPEG":
+        colours.save(path, compression="jpeg")
+    else:
+        (colours.convert("CMYK") if kind == "inks" else colours.quantize(64)).save(path)
+    with pytest.raises(InputError, match=rf"{path.name}: .*save it as"):
+        read_measured_image(path)
+
+
 def write_dng(path: Path, mosaic: NDArray[np.uint16], cfa: str, black: int, white: int) -> None:
     """Write a mosaic as the DNG specification 1.4 has it, which LibRaw reads."""
     colours = bytes("RGB".index(colour) for colour in cfa)
@@ -167,8 +182,8 @@ def test_colours_are_those_of_opencv_for_every_mosaic() -> None:
         assert np.array_equal(ours[:, 1:3, 1:4], first(theirs[2:6:2, 2:8:2]))
 
 
-def test_a_red_image_is_the_scene_through_the_red_psf_exactly() -> None:
-    """Sampling every other pixel commutes with convolution by a scene on the same grid."""
+def test_a_red_image_is_the_scene_through_the_red_psf() -> None:
+    """Sampling every other pixel commutes with convolution by a scene that has light on the same pixels only."""
     from scipy.signal import convolve2d
 
     scene, psf = np.zeros((20, 20)), RNG.random((24, 24))
