@@ -15,7 +15,7 @@ from learning.classical.method import PLANAR_DEFAULTS, PlanarMethod, check_param
 from learning.method import Method
 from learning.models import learned_method
 from learning.reconstruct.inputs import Measurement, Request
-from learning.reconstruct.psfs import psfs_of_capture
+from learning.reconstruct.psfs import DEPTH_AND_PIXELS, psfs_of_capture
 from learning.tune.study import load_tuned
 from simulator.dataset.dataset_info import FILE
 from simulator.dataset.reader import Dataset, open_dataset
@@ -61,13 +61,14 @@ def choose_method(measurement: Measurement, request: Request) -> Setup:
         raise InputError(
             "--method", "missing; --stack, --tuned and --set belong to a classical method: add --method NAME"
         )
-    refused: list[str] = []
+    refused: dict[str, list[str]] = {}
     for name, path in shipped_checkpoints().items():
         try:
             return _learned(measurement, path, request)
         except InputError as error:
-            refused.append(f"{name}: {error}")
-    reasons = "; ".join(refused) or "none is shipped"
+            reason = error.reason if error.path == str(measurement.path) else str(error)
+            refused.setdefault(reason, []).append(name)
+    reasons = "; ".join(f"{', '.join(names)}: {reason}" for reason, names in refused.items()) or "none is shipped"
     cure = (
         "Give --checkpoint FILE of a network for this camera, or --method (cls; of clips joint, or joint3d where PSFs are "
         "of several depths) with --stack, its PSFs"
@@ -80,7 +81,7 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
     numbers = "the checkpoint's: the measurement is assumed to be exposed like its training set"
     psfs = shown_stack(capture.stack)
     dataset = _own_dataset(measurement)
-    _check_fit(measurement, capture, f"the network of {path.name}")
+    _check_fit(measurement, capture, "the network")
     if dataset is not None:
         try:
             own = capture_model(dataset)
@@ -187,13 +188,19 @@ def camera_of(measurement: Measurement, request: Request) -> tuple[CaptureModel,
         train = open_dataset(place, "train")
         return capture_model(train), f"of {place}, whose camera took the measurement", train
     elif not (folder / DESCRIPTION).is_file():
-        what = "neither the image of a PSF nor the folder of a stack or a data set"
-        raise InputError("--stack", f"{place} is {what}; `flatlight psf` makes stacks")
+        what = "is a folder of neither a stack nor a data set; `flatlight psf` and `flatlight calibrate` make stacks"
+        raise InputError("--stack", f"{place} {what if place.exists() else 'is no file or folder that exists'}")
     elif dataset is not None:
         return capture_model(dataset, read_psf_stack(folder)), _of_own(dataset), dataset
     found, notes = psfs_of_capture(place if place.is_file() else folder, measurement, request)
     noted = replace(found, provenance=found.provenance | {"notes": notes})
-    capture = plain_capture(noted, measurement.sensor_shape, request.scene)
+    try:
+        capture = plain_capture(noted, measurement.sensor_shape, request.scene)
+    except InputError as error:
+        if error.path != "scene_shape" or request.scene is None:
+            raise
+        wanted = f"at most the sensor's {_size(measurement.sensor_shape, 'x')}, even where these are even"
+        raise InputError("--scene", f"got {_size(request.scene, 'x')}, expected {wanted}, and else odd") from error
     return capture, "none: gain 1, no vignetting, colours as they are; radiance has an unknown factor", None
 
 
@@ -258,7 +265,7 @@ def _white(
 
 def _camera_record(capture: CaptureModel, numbers: str, white_from: str) -> dict[str, Any]:
     """Return what a camera is, and where its numbers and its white come from, JSON-serialisable."""
-    shown = ("kind", "frame", "background", "cfa", "crop", "binning", "images", "notes", "warnings")
+    shown = ("kind", "frame", "background", "cfa", "crop", "binning", "images", "notes", "warnings", DEPTH_AND_PIXELS)
     return {
         "numbers_from": numbers,
         "psfs": shown_stack(capture.stack),
@@ -277,10 +284,11 @@ def _camera_record(capture: CaptureModel, numbers: str, white_from: str) -> dict
 
 def shown_stack(stack: PsfStack) -> str:
     """Return how many depths a stack has, from where to where, on which pixels, and whose it is."""
-    depths_m = stack.depths_m
+    depths_m, notes = stack.depths_m, "".join(f"; {note}" for note in stack.provenance.get("notes", ()))
+    if DEPTH_AND_PIXELS in stack.provenance:
+        return f"1 image, its pixels taken as the capture's ({stack.fingerprint[:8]}){notes}"
     ends = " to ".join(centimetres(float(depth)) for depth in dict.fromkeys((depths_m[0], depths_m[-1])))
     count = f"{len(depths_m)} plane{'s' if len(depths_m) > 1 else ''}"
-    notes = "".join(f"; {note}" for note in stack.provenance.get("notes", ()))
     return f"{count}, {ends}, {stack.pixel_pitch_m * 1e6:.4g} um pixels ({stack.fingerprint[:8]}){notes}"
 
 

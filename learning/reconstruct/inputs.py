@@ -130,7 +130,7 @@ def load_measurement(
         values, channels, label = stored.measurement()[0], stored.channels, stored.label
         scale = FullScale(1.0, 1.0, "as stored: DN / 2^bits")
         mirrored = None if mirror == "none" else mirror
-        for option, told in (("--bits", bits), ("frame", frame), ("--mirror", mirrored), ("--cfa", cfa)):
+        for option, told in (("--bits", bits), ("--frame", frame), ("--mirror", mirrored), ("--cfa", cfa)):
             if told is not None:
                 raise InputError(option, f"got {told}, but {sample} is a sample, which says that itself; leave it out")
         frame, light = "stored", values
@@ -146,7 +146,7 @@ def load_measurement(
         light = light - dark / scale.divisor
         record["background"] = words
     if crop is not None:
-        light = light[(slice(None), *crop_window(crop, path, (light.shape[-2], light.shape[-1])))]
+        light = light[(slice(None), *crop_window(crop, path, (light.shape[-2], light.shape[-1]), "--crop"))]
         record["crop"] = crop
     if binning != 1:
         check_binning(binning, path, light.shape)
@@ -158,7 +158,7 @@ def load_measurement(
         light = light[:, :, ::-1] if mirror == "left-right" else light[:, ::-1]
         record["mirror"] = mirror
     if frame is not None:
-        check_frame(frame, "frame")
+        check_frame(frame, "--frame")
         record["frame"] = frame
     if frame == "physical":
         light = light[:, ::-1, ::-1]
@@ -181,9 +181,8 @@ def _sample_folder(path: Path) -> Path | None:
     if (folder / DESCRIPTION).is_file():
         return folder
     if path.is_dir():
-        ours = "a data set: give one of its samples"
-        what = ours if (path / FILE).is_file() else f"not a sample: it has no {DESCRIPTION}"
-        raise InputError(path, f"{what}, e.g. train/0000/s00000000, or an image's file")
+        what = "a data set" if (path / FILE).is_file() else f"a folder without {DESCRIPTION}"
+        raise InputError(path, f"{what}; give a sample's folder, e.g. train/0000/s00000000, or an image's file")
     return None
 
 
@@ -197,11 +196,11 @@ def _dark(
         image = Path(str(background))
     else:
         if not np.isfinite(level):
-            raise InputError("background", f"got {background}, expected a finite number, or an image")
+            raise InputError("--background", f"got {background}, expected a finite number, or an image")
         return level, f"{level:g}"
     dark = in_colours(read_measured_image(image), cfa, image, "--cfa", judge=False)
     if dark.shape[1:] != shape[1:] or len(dark) not in (1, shape[0]):
         dark_size, size = (f"{h} x {w} with {c} channel{'s' if c > 1 else ''}" for c, h, w in (dark.shape, shape))
         wanted = "a dark image of the same camera and size, before crop and binning"
-        raise InputError("background", f"{image} is {dark_size}, but {path} is {size}; expected {wanted}")
+        raise InputError("--background", f"{image} is {dark_size}, but {path} is {size}; expected {wanted}")
     return dark.astype(np.float64), str(image)

@@ -47,7 +47,7 @@ def frame_evidence(measurement: NDArray[np.floating], capture: CaptureModel) -> 
     60 scenes of two sizes, half of them wider than the image) none was clear in the wrong sense; of six masks without any
     symmetry all four were told apart in 82 % with noise of 40 dB, 78 % with 30 dB and 43 % with 20 dB.
     """
-    factor = -(-max(capture.sensor_shape) // _PIXELS)
+    factor = _factor(capture.sensor_shape)
     light = (measurement - border_level(measurement)).mean(axis=0)
     light = blocks(light[: light.shape[0] // factor * factor, : light.shape[1] // factor * factor], factor)
     every = [_AS_IT_IS, _ROTATED, *list(_MIRRORS)[1:]]
@@ -77,6 +77,10 @@ def check_frame_fits(measurement: Measurement, capture: CaptureModel, request: R
     Raises:
         InputError: no frame is told, or, without ``accept``, another one, or a mirrored one, is clear.
     """
+    rows, columns = measurement.sensor_shape
+    if min(rows, columns) < 2 * _factor((rows, columns)):
+        wanted = f"at least {2 * _factor((rows, columns))} each way; bin less, or crop less"
+        raise InputError(measurement.path, f"got {rows} x {columns} pixels, too few for an image; expected {wanted}")
     evidence = frame_evidence(measurement.values, capture)
     told, image = measurement.frame, request.stack is not None and Path(request.stack).expanduser().is_file()
     best = max(evidence, key=lambda flips: evidence[flips])
@@ -96,9 +100,14 @@ def check_frame_fits(measurement: Measurement, capture: CaptureModel, request: R
         words = "rotated by 180 degrees" if best == _ROTATED else f"mirrored {_MIRRORS[best]}"
         found = f"got {told}{'' if mirror == 'none' else f' and --mirror {mirror}'}, but {words}"
         cure = f"give {options}{', or the right --psf-frame' if image and best == _ROTATED else ''}"
-        reason = f"{found} {measurement.path} fits the PSFs better ({evidence[best]:.2f}, clear from {CLEAR})"
+        reason = f"{found} {measurement.path} fits the PSFs better ({evidence[best]:.3g}, clear from {CLEAR})"
         raise InputError("--frame", f"{reason}; {cure}; --accept-frame overrides")
     return -max(gain for flips, gain in evidence.items() if flips != _AS_IT_IS)
+
+
+def _factor(shape: tuple[int, int]) -> int:
+    """Return the binning by which a capture is small enough for the evidence."""
+    return -(-max(shape) // _PIXELS)
 
 
 def _options(better: Flips, mirror: Mirror, frame: Frame) -> str:

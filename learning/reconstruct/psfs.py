@@ -21,6 +21,8 @@ from simulator.optics.measured import Background, cut_edges, load_measured_psf, 
 from simulator.optics.stack import PsfStack, with_channels
 from simulator.optics.stack_files import read_psf_stack
 
+DEPTH_AND_PIXELS = "depth_and_pixels"
+"""Key of the provenance of PSFs of which neither depth nor pixel pitch is known."""
 _PITCH_M = 1e-5  # nothing here depends on it: values are scaled to a sum of 1
 _FADE = 0.05
 """Share of a side over which a cut PSF fades out.
@@ -47,12 +49,15 @@ def psfs_of_capture(place: Path, measurement: Measurement, request: Request) -> 
         frame = request.psf_frame or measurement.frame or "stored"
         check_frame(frame, "--psf-frame")
         told: dict[str, Any] = {"background": request.psf_background, "cfa": request.cfa, "crop": request.psf_crop}
-        binning = request.psf_binning or request.binning
+        binning = request.binning if request.psf_binning is None else request.psf_binning
         stack = load_psf_image(place, binning=binning, frame=frame, **told)
+        of_files = _of_image(stack)
         shape, known = stack.provenance["images"][0]["shape"], request.psf_crop is not None
     else:
-        binning, stack = request.psf_binning or 1, read_psf_stack(place)
-        shape = stack.values.shape[-2:]
+        binning, stack = 1 if request.psf_binning is None else request.psf_binning, read_psf_stack(place)
+        shape, of_files = stack.values.shape[-2:], _notes_of_files(stack)
+        if not 1 <= binning <= min(shape):
+            raise InputError("--psf-binning", f"got {binning}, expected 1 to {min(shape)} pixels per side for {place}")
         known = stack.provenance.get("kind") != "measured"  # computed PSFs are as large as their light
         stack = _binned(stack, binning)
     of_pixels = []
@@ -60,7 +65,7 @@ def psfs_of_capture(place: Path, measurement: Measurement, request: Request) -> 
         of_pixels = _same_pixels(place, (shape[0], shape[1]), binning, measurement, request)
     stack, of_channels = _with_channels_of(measurement, stack, place)
     stack, of_edges = _faded(stack)
-    return stack, [*of_pixels, *of_channels, *of_edges, *_beside(stack, measurement.sensor_shape)]
+    return stack, [*of_files, *of_pixels, *of_channels, *of_edges, *_beside(stack, measurement.sensor_shape)]
 
 
 def load_psf_image(
@@ -94,13 +99,13 @@ def load_psf_image(
             throughput_m2=_PITCH_M**2,
             channels=None,
         )
+        check_binning(binning, path, tuple(stack.provenance["images"][0]["shape"]), "--psf-crop")
     except InputError as error:
-        if error.path in ("crop", "cfa"):
-            option = "--cfa" if error.path == "cfa" else "--psf-crop"
+        if error.path in ("background", "binning", "cfa", "crop"):
+            option = "--cfa" if error.path == "cfa" else f"--psf-{error.path}"
             raise InputError(option, error.reason) from error
         raise
-    check_binning(binning, path, tuple(stack.provenance["images"][0]["shape"]), "--psf-crop")
-    return stack
+    return replace(stack, provenance=stack.provenance | {DEPTH_AND_PIXELS: "unknown"})
 
 
 def _level(background: str | None) -> Background:
@@ -109,7 +114,23 @@ def _level(background: str | None) -> Background:
     try:
         return float(background)
     except ValueError:
+        if not Path(background).exists():
+            wanted = "border, none, counts, or the file of a dark image"
+            raise InputError("--psf-background", f"got {background}, expected {wanted}") from None
         return Path(background)
+
+
+def _of_image(stack: PsfStack) -> list[str]:
+    """Say what was assumed of the image of a PSF, and its background."""
+    words, levels = stack.provenance["background"], stack.provenance["images"][0]["background"]
+    if words == "border":
+        words = f"border {', '.join(f'{level:.4g}' for level in levels)}"
+    return [*_notes_of_files(stack), f"background: {words}"]
+
+
+def _notes_of_files(stack: PsfStack) -> list[str]:
+    notes = (note for image in stack.provenance.get("images", ()) for note in image.get("notes", ()))
+    return list(dict.fromkeys(notes))
 
 
 def _binned(stack: PsfStack, binning: int) -> PsfStack:

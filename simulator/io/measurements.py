@@ -29,13 +29,12 @@ _DEPTHS = (
     "psf: {measured: ..., depths_cm: [...]}"
 )
 _PALETTE = "holds the numbers of colours in a palette"
-_NOT_LINEAR = {  # photometric interpretation or compression of TIFF
-    "MINISWHITE": "holds 0 for white",
-    "PALETTE": _PALETTE,
-    "SEPARATED": "holds the inks of a print (CMYK)",
-    "JPEG": (lossy := "is compressed by JPEG, with loss"),
-    "OJPEG": lossy,
-}
+_NOT_LIGHT = {
+    0: "holds 0 for white",
+    3: _PALETTE,
+    5: "holds the inks of a print (CMYK)",
+}  # PhotometricInterpretation of TIFF 6.0
+_JPEG = (6, 7)  # Compression
 _EXTRA = "pip install 'flatlight[captures]', or in a clone uv run --extra captures"
 _RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw")
 READABLE = (".tif", ".tiff", ".png", ".exr", ".npy", *_RAW)
@@ -193,7 +192,8 @@ def read_tiff(path: Path) -> NDArray[Any]:
                 raise InputError(path, f"got {pages} pages; expected one image; {_DEPTHS}")
             page = file.pages.first
             _check_size(page.shape, path)
-            if reason := _NOT_LINEAR.get(page.photometric.name, _NOT_LINEAR.get(page.compression.name)):
+            lossy = "is compressed by JPEG, with loss" if page.compression in _JPEG else None
+            if reason := _NOT_LIGHT.get(page.photometric, lossy):
                 raise InputError(path, f"{reason}; save it as grey or RGB, black as 0, without loss")
             try:
                 image, axes = page.asarray(), page.axes
@@ -291,8 +291,8 @@ def crop_window(crop: str, path: Path, shape: tuple[int, int], option: str = "cr
         starts = [int(found[3]), int(found[4])]
     for start, size, whole in zip(starts, sizes, shape, strict=True):
         if size < 1 or start < 0 or start + size > whole:
-            of = f"{path} of {shape[0]} x {shape[1]} pixels"
-            raise InputError(option, f"got {crop}, which reaches beyond {of}; make it smaller")
+            beyond = f"reaches beyond {path} of {shape[0]} x {shape[1]} pixels; make it smaller"
+            raise InputError(option, f"got {crop}, which {'is empty' if size < 1 else beyond}")
     rows, columns = (slice(start, start + size) for start, size in zip(starts, sizes, strict=True))
     return rows, columns
 

@@ -74,7 +74,8 @@ def load_measured_psf(
 
     Returns:
         The stack, ``values`` ``(K, C, H, W)`` float32; ``provenance`` records the background levels, the share of light
-        that was negative after their removal and set to zero, crops, centres of mass and warnings.
+        that was negative after their removal and set to zero, crops, centres of mass, warnings, and what was assumed of
+        each file.
 
     Raises:
         InputError: when files and depths do not match, a file is unreadable or differs in shape, holds NaN, seems to be a
@@ -88,7 +89,8 @@ def load_measured_psf(
     planes: list[NDArray[np.float64]] = []
     records: list[dict[str, Any]] = []
     shape: tuple[int, ...] | None = None
-    for name, image in read.images([Path(file) for file in files], len(depths)):
+    for name, read_image in read.images([Path(file) for file in files], len(depths)):
+        image = read_image.values
         if shape is not None and image.shape != shape:
             raise InputError(
                 name, f"{_size(image.shape)}, but the first PSF is {_size(shape)}; all depths need one size"
@@ -96,7 +98,7 @@ def load_measured_psf(
         shape = image.shape
         light, record = _clean(image, level, binning, name)
         planes.append(rotated(light) if frame == "physical" else light)
-        records.append(record)
+        records.append(record | ({"notes": list(read_image.notes)} if read_image.notes else {}))
     values = np.stack(planes)
     if channels is None:
         channels = RGB if values.shape[1] == 3 else GREY
@@ -147,11 +149,11 @@ class _Reading:
     cfa: Cfa | None
     crop: str | None
 
-    def one(self, path: Path, *, judge: bool = True) -> NDArray[Any]:
+    def one(self, path: Path, *, judge: bool = True) -> MeasuredImage:
         """Return the image of a file; without ``judge`` a mosaic is not looked for."""
         return self._part(read_measured_image(path, self.channels or RGB), path, judge)
 
-    def images(self, files: list[Path], depths: int) -> Iterator[tuple[str, NDArray[Any]]]:
+    def images(self, files: list[Path], depths: int) -> Iterator[tuple[str, MeasuredImage]]:
         """Yield name and image for each depth, one at a time: a stack of raw captures may be large."""
         count = 3 if self.channels is None else len(self.channels)
         if len(files) == 1 and files[0].suffix.lower() == ".npy" and depths > 1:
@@ -170,12 +172,15 @@ class _Reading:
             raise InputError("files", f"got {len(files)} for {depths} depths: give one per depth, or one .npy with all")
         yield from ((file.name, self.one(file)) for file in files)
 
-    def _part(self, image: MeasuredImage, path: Path, judge: bool) -> NDArray[Any]:
+    def _part(self, image: MeasuredImage, path: Path, judge: bool) -> MeasuredImage:
         values = in_colours(image, self.cfa, path, judge=judge)
+        notes = image.notes if values.shape == image.values.shape else (*image.notes, f"mosaic {self.cfa or image.cfa}")
         if self.channels is not None and len(values) not in (1, len(self.channels)):
             wanted = f"one grey image, or {', '.join(self.channels)}, the camera's channels"
             raise InputError(path, f"got {len(values)} channels, expected {wanted}")
-        return values if self.crop is None else values[:, *crop_window(self.crop, path, values.shape[-2:])]
+        if self.crop is not None:
+            values = values[:, *crop_window(self.crop, path, values.shape[-2:])]
+        return MeasuredImage(values, notes)
 
 
 class _Background:
@@ -193,15 +198,16 @@ class _Background:
             self._level, self.name = float(background), float(background)
         else:
             path = Path(background)
-            self._dark, self.sha256, self.name = read.one(path, judge=False), _sha256(path), path.name
+            self._dark, self.sha256, self.name = read.one(path, judge=False).values, _sha256(path), path.name
 
     def of(self, image: NDArray[Any], name: str) -> NDArray[Any]:
         """The background of an image ``(C, H, W)``, broadcastable to it."""
         if self._dark is not None:
             if self._dark.shape[-2:] != image.shape[-2:] or self._dark.shape[0] not in (1, image.shape[0]):
                 raise InputError(
-                    f"background {self.name}",
-                    f"{_size(self._dark.shape)}, but {name} is {_size(image.shape)}; expected a dark image of the same size",
+                    "background",
+                    f"{self.name} is {_size(self._dark.shape)}, but {name} is {_size(image.shape)}; expected a dark image "
+                    "of the same size",
                 )
             return self._dark
         if self._level is not None or self.name == "none":
@@ -225,7 +231,9 @@ def _clean(
     Binning comes before the clipping at zero, so that noise averages out instead of becoming light.
     """
     if min(image.shape[-2:]) < binning:
-        raise InputError(name, f"{_size(image.shape)}, smaller than one block of binning {binning}: lower the binning")
+        raise InputError(
+            "binning", f"got {binning}, expected at most {min(image.shape[-2:])}, as {name} is {_size(image.shape)}"
+        )
     dark = background.of(image, name)
     levels = np.broadcast_to(dark, (image.shape[0], *dark.shape[1:])).mean(axis=(-2, -1), dtype=np.float64)
     light = binned(image, binning) - (binned(dark, binning) if dark.shape[-1] > 1 else dark)

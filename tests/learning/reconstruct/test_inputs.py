@@ -141,10 +141,12 @@ def test_a_sample_says_its_bits_itself(tiny_dataset: Path) -> None:
         (".tif", np.ones((1, 5, 8), np.uint16), {"binning": 3}, "^--binning: "),
         (".tif", np.ones((1, 5, 8), np.uint16), {"binning": 0}, "^--binning: "),
         (".tif", np.ones((1, 5, 8), np.uint16), {"binning": 9}, "^--binning: "),
-        (".tif", np.ones((1, 5, 8), np.uint16), {"crop": "6x8"}, "^crop: "),
-        (".tif", np.ones((1, 5, 8), np.uint16), {"crop": "5x8+1+0"}, "^crop: "),
-        (".tif", np.ones((1, 5, 8), np.uint16), {"crop": "all"}, "^crop: "),
-        (".tif", np.ones((1, 5, 8), np.uint16), {"background": "nan"}, "^background: "),
+        (".tif", np.ones((1, 5, 8), np.uint16), {"crop": "6x8"}, "^--crop: "),
+        (".tif", np.ones((1, 5, 8), np.uint16), {"crop": "5x8+1+0"}, "^--crop: "),
+        (".tif", np.ones((1, 5, 8), np.uint16), {"crop": "0x5"}, "^--crop: got 0x5, which is empty"),
+        (".tif", np.ones((1, 5, 8), np.uint16), {"frame": "up"}, "^--frame: "),
+        (".tif", np.ones((1, 5, 8), np.uint16), {"crop": "all"}, "^--crop: "),
+        (".tif", np.ones((1, 5, 8), np.uint16), {"background": "nan"}, "^--background: "),
         (".tif", np.ones((1, 5, 8), np.uint16), {"background": "no.tif"}, r"^no\.tif: "),
     ],
 )
@@ -162,7 +164,7 @@ def test_a_background_of_another_size_is_refused(tmp_path: Path) -> None:
     path, dark = tmp_path / "m.npy", tmp_path / "dark.npy"
     np.save(path, np.ones((3, 4, 4)))
     np.save(dark, np.ones((4, 5)))
-    with pytest.raises(InputError, match=r"^background: "):
+    with pytest.raises(InputError, match=r"^--background: "):
         load_measurement(path, background=str(dark))
 
 

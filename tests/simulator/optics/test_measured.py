@@ -327,7 +327,7 @@ class TestMistakes:
 
     def test_a_background_that_does_not_fit(self, tmp_path, grey):
         file = save(tmp_path / "psf.tif", grey)
-        refuses(r"^background dark\.tif: ", [file], background=save(tmp_path / "dark.tif", grey[1:]))
+        refuses(r"^background: dark\.tif ", [file], background=save(tmp_path / "dark.tif", grey[1:]))
         for level in (-1.0, np.nan):
             refuses("background", [file], background=level)
 
