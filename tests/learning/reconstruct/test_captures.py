@@ -264,8 +264,9 @@ def test_options_of_the_psfs_that_make_no_sense_are_named(
     if "psf_binning" in told:  # of a stack's folder, too
         given: dict[str, Any] = {"frame": "stored", "background": "none", "throughput_m2": 1e-6, "channels": None}
         write_psf_stack(tmp_path / "stack", load_measured_psf([file], [np.inf], 1e-5, **given))
+        job["stack"] = "stack"
         with pytest.raises(InputError, match=message):
-            reconstruct_file(Options(**job | told | {"stack": "stack"}))
+            reconstruct_file(Options(**job | told))
 
 
 def test_a_capture_of_one_row_is_refused(tmp_path: Path) -> None:
@@ -274,6 +275,13 @@ def test_a_capture_of_one_row_is_refused(tmp_path: Path) -> None:
     job: dict[str, Any] = {"method": "cls", "stack": str(tmp_path / "psf.npy"), "frame": "stored"}
     with pytest.raises(InputError, match=r"row\.npy: got 1 x 120 pixels"):
         reconstruct_file(Options(measurement=tmp_path / "row.npy", **job))
+
+
+def test_a_reason_by_which_several_networks_do_not_fit_is_said_once(tmp_path: Path) -> None:
+    raw, _ = files_of(tmp_path, speckle(96), speckle(96))
+    with pytest.raises(InputError, match=r"flatnet3d.*, .*: got the channels grey") as refused:
+        reconstruct_file(Options(measurement=raw, frame="stored"))
+    assert refused.value.reason.count("got the channels") == 1
 
 
 @pytest.mark.shared
