@@ -321,7 +321,7 @@ def test_the_image_of_a_psf_is_cropped_and_binned_by_the_measurements_rule(tmp_p
     path, psf, _ = planar_scene(tmp_path, 1)
     values = np.load(psf).astype(np.float64)
     measurement = load_measurement(path, background=1000, binning=2)
-    with pytest.raises(InputError, match=r"^binning: "):
+    with pytest.raises(InputError, match=r"^--psf-binning: "):
         choose_method(measurement, Request(method="cls", stack=str(psf), binning=2))
     np.save(tmp_path / "dark.npy", np.pad(np.full((30, 28), 200), ((1, 2), (3, 2))))
     for background in ("200", str(tmp_path / "dark.npy")):

@@ -141,7 +141,7 @@ def test_raw_captures_are_rotated_like_their_psfs(physical: Physical, stack: str
         ("psf.tif", {}, r"^--frame: missing"),
         ("stack", {"frame": "stored"}, r"^--frame: .*--frame physical.*--accept-frame"),
         ("psf.tif", {"frame": "physical", "psf_frame": "stored"}, r"^--frame: "),
-        ("stack", {"frame": "upright"}, "^frame: "),
+        ("stack", {"frame": "upright"}, "^--frame: "),
         ("psf.tif", {"frame": "stored", "psf_frame": "upright"}, "^--psf-frame: "),
         ("stack", {"frame": "physical", "psf_frame": "physical"}, "^--psf-frame: "),
     ],
@@ -182,7 +182,7 @@ def test_a_stack_in_another_frame_is_not_taken_for_ours(physical: Physical) -> N
 
 def test_samples_and_their_files_say_their_frame_themselves(tiny_dataset: Path, tmp_path: Path) -> None:
     sample = tiny_dataset / "test" / "0000" / "s00000000"
-    with pytest.raises(InputError, match=r"^frame: "):
+    with pytest.raises(InputError, match=r"^--frame: "):
         reconstruct_file(Options(measurement=sample, method="cls", frame="stored"))
     copied = tmp_path / "copy.exr"
     copied.write_bytes((sample / "measurement.exr").read_bytes())
