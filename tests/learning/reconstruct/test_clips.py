@@ -229,7 +229,7 @@ def test_a_network_tells_its_own_number_of_frames_apart(
         ),
         ({"camera.shutter.exposure_ms": 4.5}, r"^{net}: was trained for another camera .*shutter: got .*dual_rolling"),
         ({"scene.size": [12, 16]}, r"^{net}: .*scene_shape: got 12 x 16 pixels, expected 16 x 16"),
-        ({"camera.sensor.shape": [48, 44]}, r"got 48 x 44 pixels, the network of video\.safetensors is for 48 x 48"),
+        ({"camera.sensor.shape": [48, 44]}, r"got 48 x 44 pixels, the network is for 48 x 48"),
     ],
 )
 def test_captures_of_another_camera_are_refused(

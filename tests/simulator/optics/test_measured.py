@@ -337,7 +337,7 @@ class TestMistakes:
             ({"frame": "upright"}, "^frame: "),
             ({"pixel_pitch_m": 2.4}, "^pixel_pitch_m: "),
             ({"binning": 0}, "^binning: "),
-            ({"binning": 10}, r"^psf\.tif: "),
+            ({"binning": 10}, "^binning: "),
             ({"throughput_m2": 0.0}, "^throughput_m2: "),
             ({"throughput_m2": 10.0}, "^throughput_m2: "),
         ],
