@@ -99,7 +99,7 @@ def load_psf_image(
             throughput_m2=_PITCH_M**2,
             channels=None,
         )
-        check_binning(binning, path, tuple(stack.provenance["images"][0]["shape"]), "--psf-crop")
+        check_binning(binning, path, tuple(stack.provenance["images"][0]["shape"]), "--psf-crop", "--psf-binning")
     except InputError as error:
         if error.path in ("background", "binning", "cfa", "crop"):
             option = "--cfa" if error.path == "cfa" else f"--psf-{error.path}"

@@ -26,6 +26,7 @@ from simulator.io.measurements import (
     check_numbers,
     crop_window,
     in_colours,
+    note_of_full,
     read_measured_image,
     read_npy,
 )
@@ -175,6 +176,8 @@ class _Reading:
     def _part(self, image: MeasuredImage, path: Path, judge: bool) -> MeasuredImage:
         values = in_colours(image, self.cfa, path, judge=judge)
         notes = image.notes if values.shape == image.values.shape else (*image.notes, f"mosaic {self.cfa or image.cfa}")
+        full = float(np.iinfo(image.values.dtype).max) if image.values.dtype.kind == "u" else math.inf
+        notes = (*notes, *note_of_full(image.values, full))
         if self.channels is not None and len(values) not in (1, len(self.channels)):
             wanted = f"one grey image, or {', '.join(self.channels)}, the camera's channels"
             raise InputError(path, f"got {len(values)} channels, expected {wanted}")

@@ -232,6 +232,9 @@ def test_what_is_assumed_of_the_image_of_a_psf_is_said(tmp_path: Path) -> None:
     assert "alpha channel is left out" in alpha
     assert "background: border 7;" in f"{alpha};"
     assert "3 x 96 x 120: its first axis is taken as R, G, B" in said("three.npy")
+    full = np.minimum(psf, psf.max() / 2)
+    np.save(tmp_path / "full.npy", full)
+    assert f"{np.mean(full == full.max()):.2%} of its pixels are full".replace("%", " %") in said("full.npy")
     np.save(tmp_path / "five.npy", np.stack([psf] * 5))
     with pytest.raises(InputError, match=r"five\.npy: .*flatlight calibrate"):
         said("five.npy")
@@ -292,6 +295,7 @@ def test_the_hand_before_the_diffuser_camera_by_the_documented_command(shared_da
     job = {"method": "admm", "stack": str(psf), "frame": "stored", "binning": 8, "output": tmp_path / "out"}
     report = reconstruct_file(Options(measurement=raw, **job))
     assert "150 x 200, grey" in report
+    assert "0.01 % of its pixels are full" in report  # 192 of the PSF's, as the note beside it says
     image = read_exr(tmp_path / "out" / "image.exr")[0]["G"]
     hand, around = image[40:100, 75:170], np.r_[image[:20].ravel(), image[115:].ravel()]
     assert hand.mean() > 10 * around.mean()
