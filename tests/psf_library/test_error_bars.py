@@ -59,6 +59,10 @@ def test_the_error_bar_contains_the_true_error(name, tmp_path, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(set(available("mask")) - {"height_map", "amplitude_image"}))
 def test_the_error_bar_of_a_whole_default_stack_contains_the_true_error(name, tmp_path):
-    """As a stack records it: the design at its default size, judged by its middle 1.5 mm, nearest default depth."""
-    bar, error = _bar_and_truth(_design(name, tmp_path), name, 0.036)
+    """As a stack records it: the design at its default size, judged by its middle 1.5 mm, nearest default depth.
+
+    PhlatCam's, which takes half a minute to design at its 7 mm, is designed 2 mm wide: its contours are everywhere alike.
+    """
+    parameters = {"width_mm": 2.0} if name == "phlatcam" else {}
+    bar, error = _bar_and_truth(_design(name, tmp_path, **parameters), name, 0.036)
     assert error < bar

@@ -14,7 +14,6 @@ from simulator.errors import InputError
 from simulator.plugins import available, resolve
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
-EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "my_mask.py"
 
 # Relative files are taken from a folder that holds map.npy.
 SMALL = {
@@ -95,18 +94,3 @@ def test_no_stack(tmp_path: Path) -> None:
     for place in (tmp_path, tmp_path / "nowhere", tmp_path / "none.yaml"):
         with pytest.raises(InputError, match=re.escape(str(place))):
             load_psf_stack(place)
-
-
-@pytest.mark.slow
-def test_the_mask_of_the_examples_works(trial) -> None:
-    """The site's example of a mask of one's own makes a camera."""
-    code = EXAMPLE.read_text()
-    (name,) = re.findall(r"^def (\w+)\(", code, re.MULTILINE)
-    trial.plugins.with_name("my_mask.py").write_text(code)
-    mask = load_mask(f"./my_mask.py:{name}", trial.folder, width_mm=0.3)
-    assert mask.shape[0] * mask.pitch_m == pytest.approx(0.3e-3)
-    assert mask.height_m.std() > 0
-    psf = {"depths_cm": [20], "wavelengths_per_channel": 1, "accept_error": 1}
-    path = trial.write(camera={"mask": {"design": f"./my_mask.py:{name}", "width_mm": 0.3}}, psf=psf)
-    stack = load_psf_stack(path)
-    assert stack.energy_m2() == pytest.approx(0.09e-6, rel=0.05)  # a phase mask lets all light pass

@@ -110,15 +110,17 @@ def test_a_task_that_always_kills_its_worker_is_given_up(engine: str, tasks: Mod
 
 LEAVES = ["sys.exit", "named", "KeyboardInterrupt", "GeneratorExit", "MemoryError"]
 CRASHES = {"os._exit": "exit code", "abort": "SIGABRT", "segfault": "SIGSEGV"}
+WAYS = [
+    *(("inline", way) for way in LEAVES),  # nothing protects it from crashes
+    *(("local", way) for way in (*LEAVES, *CRASHES)),
+    *(pytest.param("ray", way, marks=pytest.mark.slow) for way in ("sys.exit", "os._exit")),  # in processes of `local`
+]
 
 
-@pytest.mark.parametrize("way", [*LEAVES, *CRASHES])
-@pytest.mark.parametrize("engine", ALL, indirect=True)
+@pytest.mark.parametrize(("engine", "way"), WAYS, indirect=["engine"])
 def test_a_task_that_leaves_is_tried_three_times_and_the_others_are_done(
     engine: str, way: str, tasks: ModuleType
 ) -> None:
-    if engine == "inline" and way in CRASHES:
-        pytest.skip("nothing protects inline")
     found = by_task(run(engine, tasks.leave, [(number, way) for number in range(6)], workers=2))
     assert {task[0]: outcome.value for task, outcome in found.items()} == dict.fromkeys((1, 3, 5)) | {0: 0, 2: 2, 4: 4}
     assert {task[0]: outcome.attempts for task, outcome in found.items()} == {n: 1 + 2 * (n % 2) for n in range(6)}
@@ -238,11 +240,17 @@ if __name__ == "__main__":
 """
 
 
+SIGNALS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129, signal.SIGKILL: -9}
+
+
 @pytest.mark.usefixtures("ctrl_c")
-@pytest.mark.parametrize("engine", ALL)
 @pytest.mark.parametrize(
-    ("number", "status"),
-    [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, -9)],
+    ("engine", "number", "status"),
+    [
+        *((engine, *each) for engine in ("inline", "local") for each in SIGNALS.items()),
+        # Ctrl-C reaches Ray's own processes, too, and SIGTERM has a handler of Ray's; SIGKILL: see test_kills.
+        *(pytest.param("ray", one, SIGNALS[one], marks=pytest.mark.slow) for one in (signal.SIGINT, signal.SIGTERM)),
+    ],
 )
 def test_the_user_ends_a_run_and_no_worker_outlives_it(
     engine: str, number: signal.Signals, status: int, tmp_path: Path
