@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,9 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from learning.camera import CaptureModel, capture_model
+from learning.camera import CaptureModel
 from learning.checkpoint import find_checkpoint, load_checkpoint
-from learning.labels import class_numbers
 from learning.method import Clock, Method, linear_to_srgb, srgb_to_linear
 from learning.models import build_network, learned_method, named
 from learning.models.activitynet import (
@@ -25,7 +23,6 @@ from learning.models.activitynet import (
     moved_windows,
 )
 from learning.models.videonet import VideoNet
-from simulator.dataset import open_dataset
 from simulator.errors import InputError
 
 CLASSES = ["a", "b", "c"]
@@ -299,23 +296,6 @@ def test_names_and_sizes(clip_capture: CaptureModel) -> None:
     for changes in ({"frames": "every"}, {"classifier": "vgg"}, {"size": "tiny"}, {"filters": 3}):
         with pytest.raises(InputError):
             build_network(clip_capture, "lens_classifier", **{"classes": CLASSES, **changes})
-
-
-@pytest.mark.slow
-def test_the_shipped_one_recognises_captures_of_its_preset(flatlight: Any, tmp_path: Path, monkeypatch: Any) -> None:
-    """Of 14 clips that it has not seen: 9 or more would be right by chance once in a million times."""
-    monkeypatch.chdir(tmp_path)
-    counts = [f"--set=dataset.{split}={count}" for split, count in {"train": 0, "validation": 0, "test": 14}.items()]
-    for arguments in (["init", "--preset", "activity_64"], ["generate", "activity_64.yaml", "--set=seed=8", *counts]):
-        code, _, err = flatlight(*arguments)
-        assert code == 0, err
-    test = open_dataset("out/activity_64", "test")
-    network = load_checkpoint(find_checkpoint("activitynet"), capture=capture_model(test)).network
-    assert isinstance(network, ActivityNet)
-    captures = torch.stack([torch.from_numpy(stored["measurement"]) for stored in test])
-    _, chances = ActivityMethod("ActivityNet", network, capture_model(test)).recognise(captures)
-    right = chances.argmax(dim=1).numpy() == class_numbers(test, network.classes)
-    assert right.sum() >= 9  # 11 are expected
 
 
 def test_the_shipped_file_is_small_and_says_its_scenes() -> None:
