@@ -196,32 +196,49 @@ def test_workers_killed_many_times(slowly: Slowly, engine: str, kills: int) -> N
     slowly.check(engine)
 
 
-@pytest.mark.parametrize(("engine", "moments"), [("local", 10), ("ray", 4)], indirect=["engine"])
-def test_parent_killed_at_any_moment(slowly: Slowly, engine: str, moments: int) -> None:
-    """Workers of `local` are its own children, those of Ray are the cluster's; what lies on the disk is the same."""
+def killed(slowly: Slowly, name: str, engine: str, wait: Callable[[subprocess.Popen], object]) -> int:
+    """Kill a run after a wait; nothing stays behind and it can be finished. Return what it had, -1 without a description."""
+    slowly.paced(0.1)
+    marker = uuid4().hex
+    process = slowly.start(name, engine, FLATLIGHT_TEST_RUN=marker)
+    wait(process)
+    process.kill()
+    process.wait()
+    assert ended(lambda: marked(marker)), marked(marker)
+    assert ended(lambda: [pid for pid, _ in slowly.begun if alive(pid)])
+    root = slowly.folder / name
+    finished = len(load_manifest(root).entries) if (root / "dataset.json").exists() else -1
+    slowly.paced(0.0)
+    slowly.check(name)
+    return finished
+
+
+def test_parent_killed_at_10_moments(slowly: Slowly) -> None:
     slowly.paced(0.1)
     begin = time.monotonic()
-    assert slowly.start(f"{engine}-whole", engine).wait() == 0
+    assert slowly.start("whole", "local").wait() == 0
     lasts_s = time.monotonic() - begin
-    slowly.check(f"{engine}-whole")
-    rng = np.random.default_rng(9)
+    slowly.check("whole")
+    moments = lasts_s * (np.arange(10) + np.random.default_rng(9).random(10)) / 10  # one in each tenth
     finished = []
-    for number in range(moments):  # one in each part
-        marker, name = uuid4().hex, f"{engine}-{number}"
-        slowly.paced(0.1)
-        process = slowly.start(name, engine, FLATLIGHT_TEST_RUN=marker)
-        time.sleep(lasts_s * (number + rng.random()) / moments)
-        process.kill()
-        process.wait()
-        assert ended(lambda marker=marker: marked(marker)), marked(marker)
-        assert ended(lambda: [pid for pid, _ in slowly.begun if alive(pid)])
-        root = slowly.folder / name
-        described = (root / "dataset.json").exists()
-        finished.append(len(load_manifest(root).entries) if described else -1)
-        slowly.paced(0.0)
-        slowly.check(name)
+    for number, moment in enumerate(moments):
+        finished.append(killed(slowly, f"local-{number}", "local", lambda _, after=moment: time.sleep(after)))
     assert finished[0] == -1  # not even a description
     assert any(0 <= count < COUNT for count in finished)
+
+
+@pytest.mark.parametrize("engine", ["ray"], indirect=True)
+@pytest.mark.parametrize("begun", [1, 12, 30])  # 4 of them pilots
+def test_parent_killed_while_a_cluster_makes_samples(slowly: Slowly, engine: str, begun: int) -> None:
+    """The workers are not its children; until there are tasks for them, the engine plays no part."""
+    finished = killed(
+        slowly,
+        f"{engine}-{begun}",
+        engine,
+        lambda process: ended(lambda: len(slowly.begun) < begun and process.poll() is None, 120),
+    )
+    assert (finished >= 0) >= (begun > 4)
+    assert finished < COUNT
 
 
 @pytest.mark.parametrize("in_the_middle", [False, True])
