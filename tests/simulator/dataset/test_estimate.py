@@ -16,6 +16,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 DATASET = {"train": 20, "validation": 4, "test": 4, "engine": "local", "workers": 2}
 
 
+@pytest.mark.slow
 def test_it_tells_what_the_data_set_then_takes(trial) -> None:
     scene = {"family": "./plugins.py:boxes", "size": [16, 20], "seconds": 0.05}
     path = trial.write(dataset=DATASET, scene=scene)
@@ -34,6 +35,7 @@ def test_it_tells_what_the_data_set_then_takes(trial) -> None:
     assert 50e6 < found.memory_bytes < 5e9
 
 
+@pytest.mark.slow
 def test_the_captured_psfs_and_an_engine_without_workers(trial) -> None:
     psf = {"near_cm": 3.6, "far_cm": 20, "depths": 3}
     path = trial.write(dataset=DATASET | {"engine": "inline"}, psf=psf)

@@ -280,6 +280,7 @@ def test_no_picture_travels_from_a_worker(trial, monkeypatch: pytest.MonkeyPatch
     assert verify(root).ok  # and nothing is left of the pilots' pictures
 
 
+@pytest.mark.slow
 def test_a_stack_that_is_made_again_must_be_that_of_the_samples(trial, monkeypatch: pytest.MonkeyPatch) -> None:
     code = trial.plugins.read_text()
     trial.plugins.write_text(code.replace("default_rng(seed)", "default_rng(int(os.environ['MASK']))"))

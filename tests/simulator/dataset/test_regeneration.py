@@ -89,6 +89,7 @@ def test_a_sample_that_is_not_what_it_should_be(copy: Path, made, flatlight) -> 
     assert "train/s00000002: identical" in out
 
 
+@pytest.mark.slow
 def test_elsewhere_samples_agree_to_a_tolerance(copy: Path, made, monkeypatch) -> None:
     info = json.loads((copy / "dataset.json").read_text())
     info["versions"]["cpu"] = "x86_64 SSE42"

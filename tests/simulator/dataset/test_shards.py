@@ -87,6 +87,7 @@ def test_the_number_of_shards_may_change_and_a_run_without_shards_finishes(trial
     assert verify(root).ok
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("overlap", [False, True])
 def test_shards_at_the_same_time(trial, undisturbed: Path, decided, overlap: bool) -> None:
     """In processes of their own, begun at once in an empty folder; with ``overlap`` the same shard three times."""
