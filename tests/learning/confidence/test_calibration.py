@@ -148,7 +148,7 @@ def test_the_file_beside_a_checkpoint_is_taken_if_it_is_of_it(
     assert find_confidence(own | {"sha256": "2" * 64}, None)[0] is None
 
 
-@pytest.mark.parametrize("network", ["flatnet3d"])
+@pytest.mark.parametrize("network", ["flatnet3d", "videonet3d"])
 def test_the_shipped_networks_depths_have_a_confidence(network: str) -> None:
     path = find_checkpoint(network)
     confidence, origin = find_confidence({"sha256": sha256_file(path), "checkpoint": str(path)}, None)
@@ -156,7 +156,7 @@ def test_the_shipped_networks_depths_have_a_confidence(network: str) -> None:
     assert "validation scenes" in origin
 
 
-@pytest.mark.parametrize("method", ["cls"])
+@pytest.mark.parametrize("method", ["cls", "admm", "pnp"])
 def test_classical_methods_have_one_that_is_of_their_defaults(method: str) -> None:
     record = {"method": method, "parameters": ALL_DEFAULTS[method], "camera": {"psf_fingerprint": "of my camera"}}
     confidence, origin = find_confidence(record, None)
