@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import os
 import resource
+import shutil
 import statistics
 import subprocess
 import sys
@@ -26,10 +27,11 @@ COMMANDS = {  # of flatlight
     "reconstruct, one plane": "reconstruct capture.npy --stack psf.npy --frame physical --method admm --set iterations=1",
     "reconstruct, depth": "reconstruct capture.npy --stack stack --frame physical --method cls",
 }
+COMPARE = "compare phlatcam diffusercam flatcam --output compare.html"
 
 
 def prepare(folder: Path) -> None:
-    """Write a capture of a random scene through random sparse PSFs, one of them as a file, and all as a stack."""
+    """Write a capture of a random scene through random sparse PSFs, one as a file, all as a stack, and a configuration."""
     rng = np.random.default_rng(0)
     psfs = np.where(rng.random((len(DEPTHS_M), 3, 63, 63)) < 0.05, rng.random((len(DEPTHS_M), 3, 63, 63)), 0)
     scene = rng.random((3, *SENSOR)) ** 8
@@ -38,11 +40,13 @@ def prepare(folder: Path) -> None:
         np.save(folder / f"{name}.npy", np.moveaxis(channels, 0, -1).astype(np.float32))
     stack = PsfStack(psfs, np.array(DEPTHS_M), 19.2e-6, ("R", "G", "B"), "random", {"kind": "measured"})
     write_psf_stack(folder / "stack", stack)
+    shutil.copy(Path(__file__).parents[1] / "sim_config.yaml", folder)
 
 
 def seconds_of(arguments: str, folder: Path) -> float:
     """Run flatlight in a folder and return the CPU seconds of it and its children."""
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
+    environment["FLATLIGHT_CACHE_DIR"] = str(folder / "cache")
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     command = [str(Path(sys.executable).with_name("flatlight")), *arguments.split()]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
@@ -61,7 +65,9 @@ def main() -> None:
         prepare(Path(folder))
         for name, arguments in COMMANDS.items():
             seconds = [seconds_of(arguments, Path(folder)) for _ in range(rounds + 1)][1:]
-            print(f"{name:24} {statistics.median(seconds):6.2f} CPU s")
+            print(f"{name:30} {statistics.median(seconds):6.2f} CPU s", flush=True)
+        for name in ("compare, nothing computed yet", "compare, again"):
+            print(f"{name:30} {seconds_of(COMPARE, Path(folder)):6.2f} CPU s", flush=True)
 
 
 if __name__ == "__main__":

@@ -35,11 +35,8 @@ _OTHER_BITS = 0.25
 """Share of what the files' type holds below which all numbers may as well be those of a sensor with fewer bits."""
 _NOISY = 0.01
 """Share of a plane that is noise below zero from which on it is worth a word."""
-_FINE_PX, _WIDE_PX, _SEEN = (
-    2.0,
-    8.0,
-    3.0,
-)  # light is seen where its mean over a few pixels exceeds so many of its errors
+_FINE_PX, _WIDE_PX = 2.0, 8.0
+_SEEN = 3.0  # light is seen where its mean over a few pixels exceeds so many of its errors
 
 
 @dataclass(frozen=True)
