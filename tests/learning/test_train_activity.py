@@ -184,6 +184,7 @@ def test_labels_go_with_their_clips_and_are_shuffled_for_learning_only(
     assert sorted(dealt["train", True]) == [0] * 8 + [1] * 8
 
 
+@pytest.mark.slow
 def test_what_is_kept_is_shared_by_classifiers(activity_settings: Settings, tmp_path: Path) -> None:
     """All that look at frames or raw captures learn from the same draws; of another estimate there are others."""
     counts = []
@@ -301,6 +302,7 @@ def test_it_begins_with_a_videonet(activity_settings: Settings, tmp_path: Path, 
             torch.testing.assert_close(found[name], value, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_it_begins_with_one_for_other_classes(activity_settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
     """All but the last layer is taken; of one for the same classes, that too."""
     path = train_activity(activity_settings("known", steps=1)).folder / LAST

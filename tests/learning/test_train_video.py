@@ -134,6 +134,7 @@ def test_a_checkpoint_for_other_times_is_refused_by_its_name(video_settings: Set
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("body", "augment"), [("naf", Augmentation()), ("unet", None)])
+@pytest.mark.slow
 def test_goes_on_as_if_it_had_never_stopped(
     video_settings: Settings, augment: Augmentation | None, body: str, tmp_path: Path
 ) -> None:
@@ -174,6 +175,7 @@ def test_another_configuration_is_refused(video_settings: Settings) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("data", [{"augment": Augmentation()}, {"noise_db": (20.0, 50.0)}], ids=["changed", "noise"])
+@pytest.mark.slow
 def test_seeds_share_what_is_kept(
     video_settings: Settings, data: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -201,6 +203,7 @@ def test_seeds_share_what_is_kept(
         pytest.param({"data": {"draws": 3}}, 2, marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.slow
 def test_what_is_kept_is_of_the_same_estimate_noise_and_changes(
     video_settings: Settings, tmp_path: Path, changes: dict[str, Any], files: int
 ) -> None:

@@ -155,6 +155,7 @@ def test_probabilities_that_are_not_finite_are_refused(
     assert not list((tmp_path / "out" / "cache").glob("*.npz"))
 
 
+@pytest.mark.slow
 def test_the_report_and_its_files(settings: Any, tmp_path: Path) -> None:
     found, files = recognise(settings())
     assert {path.name for path in files} == {

@@ -87,6 +87,7 @@ def with_flipped(data: bytes, bit: int) -> bytes:
     return bytes(flipped)
 
 
+@pytest.mark.slow
 def test_no_flipped_bit_passes(whole: Path) -> None:
     """300 of them, one at a time, in every kind of file alike: the smallest files get as many as the largest."""
     assert verify(whole).ok, verify(whole)

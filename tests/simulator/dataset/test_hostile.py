@@ -452,6 +452,7 @@ STORED: dict[str, tuple[Callable[[StorePath, pytest.MonkeyPatch], object], str]]
 
 @pytest.mark.parametrize("door", DOORS)
 @pytest.mark.parametrize("kind", STORED)
+@pytest.mark.slow
 def test_a_store_is_trusted_no_more(stored: StorePath, made: Any, tmp_path: Path, monkeypatch, kind, door) -> None:
     spoil, what = STORED[kind]
     monkeypatch.chdir(tmp_path)

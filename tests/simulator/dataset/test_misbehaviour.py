@@ -120,6 +120,7 @@ def test_bad_samples_are_told_after_three_tries_and_all_others_are_made(trial, f
 @pytest.mark.parametrize(
     ("way", "engine", "margin"), [("exit_0", "local", 0), ("hang", "local", "auto"), ("killed", "ray", 0)]
 )
+@pytest.mark.slow
 def test_a_bad_mask_ends_the_run_in_one_line(trial, flatlight: Callable, way: str, engine: str, margin) -> None:
     """Told as a bad sample is, whose test names all causes. An automatic margin asks for the mask before all else does."""
     badly(trial)

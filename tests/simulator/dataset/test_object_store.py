@@ -61,6 +61,7 @@ def test_a_data_set_in_a_store(trial, root: StorePath, local: Path, decided) -> 
     assert not Path("s3:").exists()
 
 
+@pytest.mark.slow
 def test_shards_and_what_a_dying_one_leaves(trial, root: StorePath, local: Path, decided, monkeypatch) -> None:
     path = written(trial, root)
     append, left = ManifestWriter.append, iter(range(1))
@@ -86,6 +87,7 @@ def test_shards_and_what_a_dying_one_leaves(trial, root: StorePath, local: Path,
     assert verify(root).ok
 
 
+@pytest.mark.slow
 def test_every_failed_and_skipped_sample_is_listed(trial, root: StorePath) -> None:
     scene = {"family": "./bad.py:bad", "size": [16, 20]}
     (trial.folder / "bad.py").write_text(
@@ -109,6 +111,7 @@ def test_every_failed_and_skipped_sample_is_listed(trial, root: StorePath) -> No
     assert verify(root).ok
 
 
+@pytest.mark.slow
 def test_a_finished_sample_stays_whoever_comes_after(trial, root: StorePath, monkeypatch) -> None:
     """Another kind of processor makes other bytes; what a writer finished before it died is taken as it is."""
     path = written(trial, root)
@@ -156,6 +159,7 @@ def test_a_changed_configuration_is_refused_with_a_diff(trial, root: StorePath) 
     assert verify(root).ok
 
 
+@pytest.mark.slow
 def test_faults_are_found_there(trial, root: StorePath) -> None:
     generate(written(trial, root))
     file = root / "train/0000/s00000002/measurement.exr"
@@ -170,6 +174,7 @@ def test_faults_are_found_there(trial, root: StorePath) -> None:
         assert word in problems
 
 
+@pytest.mark.slow
 def test_from_a_store_to_a_folder_and_drawn_there(trial, root: StorePath, local: Path, decided, tmp_path: Path) -> None:
     generate(written(trial, root), finish=lambda path: contact_sheet(path, path / "contact_sheet.png"))
     assert (root / "contact_sheet.png").read_bytes().startswith(b"\x89PNG")
@@ -180,6 +185,7 @@ def test_from_a_store_to_a_folder_and_drawn_there(trial, root: StorePath, local:
     assert verify(copy).ok
 
 
+@pytest.mark.slow
 def test_a_store_without_conditional_writes_makes_no_data_set(trial, root: StorePath, monkeypatch) -> None:
     monkeypatch.setattr(StorePath, "create", lambda self, data: self.write_bytes(data) is None)
     with pytest.raises(InputError, match="If-None-Match"):

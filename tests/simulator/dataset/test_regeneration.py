@@ -36,6 +36,7 @@ def copy(made, tmp_path: Path) -> Path:
     return tmp_path / "copy"
 
 
+@pytest.mark.slow
 def test_a_sample_made_again_is_the_stored_one(made) -> None:
     trial, root = made
     before = {path: path.read_bytes() for path in root.rglob("*") if path.is_file()}

@@ -109,6 +109,7 @@ def test_large_objects_are_read_part_by_part(root: StorePath) -> None:
             file.read()  # two halves of two objects are none
 
 
+@pytest.mark.slow
 def test_more_objects_than_one_answer_lists(root: StorePath) -> None:
     for number in range(1005):
         (root / f"x/{number:04d}").write_bytes(b"")
@@ -185,6 +186,7 @@ def test_what_a_store_refuses_is_a_storage_error_with_a_cure(root: StorePath, bu
         sha256_file(root / "none")
 
 
+@pytest.mark.slow
 def test_a_store_that_cannot_be_reached(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")  # not allowed without AWS_ALLOW_HTTP: refused at once
     store._client.cache_clear()

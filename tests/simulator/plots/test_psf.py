@@ -65,6 +65,7 @@ def _cases():
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow if "staircase" in name else ()) for name in _cases()]
 )
+@pytest.mark.slow
 def test_nothing_overlaps_or_leaves_the_image(name, written):
     stack, mask = _cases()[name]()
     figure = psf_figure(stack, mask, (16, 16), (40, 60))

@@ -68,6 +68,7 @@ def case(arrays: Arrays, name: str) -> Agreement:
     return agreement(arrays[f"{name}.measured"], arrays[f"{name}.modelled"])
 
 
+@pytest.mark.slow
 def test_an_even_sky_lights_the_sensor_as_the_integral_over_the_openings_says(quick: Arrays, geometry: Any) -> None:
     # Two Gauss points per axis in each cell and in each pixel.
     amplitude = geometry.random_mask(9)[:, 1:]
