@@ -90,6 +90,7 @@ def test_learns_and_leaves_what_belongs_to_it(settings: Settings) -> None:
     ("stops", "augment"),
     [*(pytest.param(stops, None, marks=pytest.mark.slow) for stops in ((1,), (4, 7))), ((5,), Augmentation())],
 )
+@pytest.mark.slow
 def test_goes_on_as_if_it_had_never_stopped(
     settings: Settings, stops: tuple[int, ...], augment: Augmentation | None
 ) -> None:

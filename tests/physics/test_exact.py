@@ -114,6 +114,7 @@ def error(found: np.ndarray, truth: np.ndarray) -> float:
 @pytest.mark.parametrize("make", MASKS)
 @pytest.mark.parametrize("wavelength_m", [470e-9, 640e-9])
 @pytest.mark.parametrize("depth_m", [0.006, 0.02, 0.1, np.inf])
+@pytest.mark.slow
 def test_the_wave_equals_the_direct_sum_on_and_off_axis(make, wavelength_m, depth_m, dtype):
     """1e-9 in float64, 5e-6 in float32 (PHYSICS): smooth edges leave nothing but rounding. Truth always in float64."""
     mask, truth_mask = make(dtype), make(np.float64)

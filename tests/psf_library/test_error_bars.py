@@ -44,6 +44,7 @@ def _bar_and_truth(mask, name, depth_m):
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow if name in COSTLY else ()) for name in available("mask")]
 )
+@pytest.mark.slow
 def test_the_error_bar_contains_the_true_error(name, tmp_path, monkeypatch):
     """The bar is twice |s - 2 s|: an error that falls like 1 / s would leave it 1.5 times |s - 2 s|.
 

@@ -64,6 +64,7 @@ def test_a_perfect_laboratory_measures_the_nominal_stack(capture) -> None:
         {"noise": "physical", "frames": 1},
     ],
 )
+@pytest.mark.slow
 def test_every_key_reaches_the_stack(capture, one) -> None:
     """How much each error does is tested where it is made; a key without effect would leave rounding, 1e-7."""
     nominal, captured = capture(**(NO_ERROR | one))

@@ -29,6 +29,7 @@ def simulated(request, truth, recorded, tmp_path_factory):
     return true, calibrate(folder, true.pitch_m, bits=12, nominal_m=1.1 * true.distance_m)
 
 
+@pytest.mark.slow
 class TestTruth:
     def test_mask_distance(self, simulated) -> None:
         true, found = simulated

@@ -318,6 +318,7 @@ HOSTILE: dict[str, tuple[Callable[[Path, Forge], object], str, str]] = {
 
 @pytest.mark.parametrize("door", DOORS)
 @pytest.mark.parametrize("kind", HOSTILE)
+@pytest.mark.slow
 def test_it_is_refused_in_time_and_nothing_comes_of_it(
     hostile: Path, made: Any, forge: Forge, kind: str, door: str
 ) -> None:

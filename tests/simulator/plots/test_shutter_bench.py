@@ -28,6 +28,7 @@ def config(request, trial):
 
 
 @pytest.mark.parametrize("sample", [1, 37, SAMPLES])
+@pytest.mark.slow
 def test_what_the_shutter_lets_through_are_the_rows_that_are_open(config, sample):
     bench = Bench(Assembly(config))
     spot = _spot(sample)
