@@ -266,7 +266,7 @@ def _plane(
         notes.append(f"the PSF is cut: {shown_edges(edges)}")
     negative = -float(np.minimum(picture.light, 0).sum()) / float(np.abs(picture.light).sum())
     if negative > _NOISY:
-        notes.append("where its light does not stand out of the noise, the local mean of both is taken")
+        notes.append("where its light does not stand out of the noise, the local mean of light and noise is taken")
     lamp = None
     if all(other.exposure_s for other in pictures):
         brightness = exposures * depths**2 / np.array([other.exposure_s for other in pictures])
