@@ -25,7 +25,7 @@ from simulator.config.camera import GapLayer, RowWindows
 from simulator.config.psf import ComputedPsf
 from simulator.design.load import load_mask, mask_arguments
 from simulator.errors import InputError
-from simulator.io.cache import Entry, cached, code_digest
+from simulator.io.cache import Entry, cached, code_digest, is_cached
 from simulator.io.files import sha256_file
 from simulator.measured_psf import measured_depths_m, measured_files, measured_stack
 from simulator.optics.error_budget import budget
@@ -42,7 +42,7 @@ from simulator.optics.spectra import (
     electron_rates,
     spectral_response,
 )
-from simulator.optics.stack import PsfStack
+from simulator.optics.stack import PsfStack, of_depths
 from simulator.plugins import Plugin, plugin_errors, resolve
 from simulator.simulated_field import SimulatedField
 from simulator.types import CameraGeometry, Layer, SceneSource, SpectralResponse, View
@@ -275,12 +275,36 @@ class Assembly:
         """The PSF stack: computed (and cached on disk), or measured."""
         if not isinstance(self.config.psf, ComputedPsf):
             return budget.with_rows(self._measured_stack, [self.simulated_field.budget_row(self._measured_stack)])
-        mask, geometry, psf_config = self.mask, self.geometry, self.psf_config
+        stack = self._proven_stack(self.psf_config)
+        errors = self._quick_errors(self.psf_config, self.image_view, stack)
+        return budget.with_budget(stack, errors, [self.simulated_field.budget_row(stack)])
+
+    def some_depths(self, most: int) -> PsfStack:
+        """Return the PSFs of at most so many of the stack's depths: nearest, farthest and others evenly between.
+
+        Of a computed stack only these are computed, unless the whole is in the cache. The errors that it carries (sampling,
+        model, wavelengths) are judged at the nearest and the farthest depth, so they are those of the whole.
+        """
+        kept = np.unique(np.linspace(0, len(self.depths_m) - 1, max(most, 2)).round().astype(int))
+        with self.config.refusals("psf"):
+            if not isinstance(self.config.psf, ComputedPsf):
+                return of_depths(self.psf_stack, kept)
+            config = self.psf_config
+            if is_cached("psf", self._stack_key(config)):
+                stack = of_depths(self.psf_stack, kept)
+                errors = stack.provenance["errors"]
+            else:
+                stack = self._proven_stack(replace(config, depths_m=tuple(config.depths_m[k] for k in kept)))
+                errors = self._quick_errors(replace(config, depths_m=config.depths_m[:1]))
+            return budget.with_budget(stack, {name: errors[name] for name in ("model", "spectrum") if name in errors})
+
+    def _proven_stack(self, psf_config: PsfConfig) -> PsfStack:
+        """Return the mask's PSFs with their sampling proven (cached)."""
+        mask, geometry = self.mask, self.geometry
         assert mask is not None
         lines = psf_lines(geometry.response, psf_config)
         layers = [layer.material for layer in (*geometry.gap, *geometry.window)]
         check_materials(geometry.response, lines, [mask.material, *layers])
-        fingerprint = psf_fingerprint(mask, geometry, psf_config)
 
         def compute() -> Entry:
             progress = None if self.progress is None else partial(self.progress, "PSFs")
@@ -288,26 +312,36 @@ class Assembly:
             described = {"channels": stack.channels, "provenance": stack.provenance}
             return {"values": stack.values, "depths_m": stack.depths_m}, described
 
-        # The limit is not part of the values, but a stack cached under a loose one must not pass a tight one.
-        key = repr((fingerprint, psf_config.accept_error, code_digest(budget.__name__)))
-        arrays, described = cached("psf", hashlib.sha256(key.encode()).hexdigest(), compute)
-        stack = PsfStack(
+        arrays, described = cached("psf", self._stack_key(psf_config), compute)
+        return PsfStack(
             arrays["values"],
             arrays["depths_m"],
             geometry.pixel_pitch_m,
             tuple(described["channels"]),
-            fingerprint,
+            psf_fingerprint(mask, geometry, psf_config),
             described["provenance"],
         )
 
-        def judge() -> Entry:
-            return {}, budget.quick_errors(
-                mask, geometry, psf_config, self.image_view, stack=stack, threads=self.threads
-            )
+    def _stack_key(self, psf_config: PsfConfig) -> str:
+        # The limit is not part of the values, but a stack cached under a loose one must not pass a tight one.
+        return self._psf_key(psf_config, psf_config.accept_error)
 
-        key = repr((fingerprint, self.image_view, code_digest(budget.__name__)))
-        _, errors = cached("budget", hashlib.sha256(key.encode()).hexdigest(), judge)
-        return budget.with_budget(stack, errors, [self.simulated_field.budget_row(stack)])
+    def _quick_errors(
+        self, psf_config: PsfConfig, view: View | None = None, stack: PsfStack | None = None
+    ) -> dict[str, Any]:
+        """Return what `budget.quick_errors` finds (cached)."""
+        mask = self.mask
+        assert mask is not None
+
+        def judge() -> Entry:
+            return {}, budget.quick_errors(mask, self.geometry, psf_config, view, stack=stack, threads=self.threads)
+
+        return cached("budget", self._psf_key(psf_config, view), judge)[1]
+
+    def _psf_key(self, psf_config: PsfConfig, more: Any) -> str:
+        assert self.mask is not None
+        key = repr((psf_fingerprint(self.mask, self.geometry, psf_config), more, code_digest(budget.__name__)))
+        return hashlib.sha256(key.encode()).hexdigest()
 
     @part("psf")
     def _measured_stack(self) -> PsfStack:

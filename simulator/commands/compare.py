@@ -23,6 +23,10 @@ def compare(
     config: Annotated[
         Path, typer.Option("--config", help="configuration whose camera and depths all designs share")
     ] = Path("sim_config.yaml"),
+    depths: Annotated[
+        int,
+        typer.Option("--depths", min=2, help="how many of the configuration's depths are compared, evenly chosen"),
+    ] = 7,
     set_: Overrides = None,
 ) -> None:
     """Compare mask designs: PSFs, contrast, sharpness, depths told apart, light; as one page or image."""
@@ -35,7 +39,8 @@ def compare(
     check_output_file("--output", output, (".html", ".png"))
     configs = load_configs(candidates, config, set_ or [])
     with Bar() as bar:
-        measured = [measure(name, one, threads=available_cpus(), progress=bar.update) for name, one in configs.items()]
+        shared = {"depths": depths, "threads": available_cpus(), "progress": bar.update}
+        measured = [measure(name, one, **shared) for name, one in configs.items()]
         bar.say("drawing the images")
     content = comparison_html(measured).encode() if output.suffix.lower() == ".html" else comparison_png(measured)
     write_atomic(output, content)

@@ -50,7 +50,7 @@ def cached(kind: str, key: str, compute: Callable[[], Entry]) -> Entry:
 
     A cache that cannot be written to costs time, not results: it is warned about and left alone.
     """
-    path = cache_folder() / kind / f"{key}.npz"
+    path = _path(kind, key)
     stored = _load(path)
     if stored is not None:
         return stored
@@ -60,6 +60,11 @@ def cached(kind: str, key: str, compute: Callable[[], Entry]) -> Entry:
     except StorageError as error:
         warnings.warn(f"the result is not cached: {error}", stacklevel=2)
     return arrays, metadata
+
+
+def is_cached(kind: str, key: str) -> bool:
+    """Return whether the cache has an entry of this key; it may still turn out to be damaged."""
+    return _path(kind, key).is_file()
 
 
 def code_digest(*origins: str | Path) -> str:
@@ -130,6 +135,10 @@ def _version(package: str) -> str:
         return metadata.version(_DISTRIBUTIONS.get(package, package))
     except metadata.PackageNotFoundError:
         return "none"
+
+
+def _path(kind: str, key: str) -> Path:
+    return cache_folder() / kind / f"{key}.npz"
 
 
 def _load(path: Path) -> Entry | None:

@@ -167,20 +167,26 @@ def depth_correlations(stack: PsfStack) -> NDArray[np.float64]:
     return np.clip(planes @ planes.T, 0, 1)
 
 
-def distinct_depths(correlations: NDArray[np.float64]) -> float:
-    """Return the effective number of depths that a stack tells apart, N = K^2 / sum_ij C_ij^2.
+def distinct_depths(correlations: NDArray[np.float64], depths_m: NDArray[np.float64]) -> float:
+    """Return the effective number of depths that PSFs tell apart: 1 / mean of C(u, v)^2 over all pairs of disparities.
 
-    It is the participation ratio (tr C)^2 / tr(C^2) of the eigenvalues of the correlations: 1 when all PSFs are alike,
-    K when no two overlap.
+    It is the participation ratio (tr C)^2 / tr(C^2) of the eigenvalues of the correlations of a continuous range of
+    disparity: 1 when all PSFs are alike, the more the fewer overlap. The mean is taken by the trapezoidal rule, so K planes
+    show no more than (K - 1)^2 / (K - 1.5), and less than there are where neighbours hardly correlate.
 
     Args:
         correlations: ``(K, K)`` of :func:`depth_correlations`.
+        depths_m: ``(K,)`` metres, increasing.
 
     Example:
-        >>> distinct_depths(np.ones((4, 4))), distinct_depths(np.eye(4))
-        (1.0, 4.0)
+        >>> distinct_depths(np.ones((3, 3)), np.array([0.05, 0.1, np.inf]))
+        1.0
     """
-    return float(len(correlations) ** 2 / np.sum(correlations**2))
+    if len(depths_m) == 1:
+        return 1.0
+    steps = -np.diff(1 / np.asarray(depths_m, np.float64))
+    weights = (np.append(steps, 0) + np.append(0, steps)) / (2 * steps.sum())
+    return float(1 / (weights @ correlations**2 @ weights))
 
 
 # ---- light on the sensor

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -70,6 +71,15 @@ class PsfStack:
         """Return the power per unit irradiance, ``(K, C)`` float64 square metres."""
         power = np.sum(to_numpy(self.values), axis=(-2, -1), dtype=np.float64)
         return np.asarray(power) * self.pixel_pitch_m**2
+
+
+def of_depths(stack: PsfStack, kept: Sequence[int] | np.ndarray) -> PsfStack:
+    """Return the part of a stack that has the depths with these indices, which increase."""
+    kept = [int(index) for index in kept]
+    if kept == list(range(len(stack.depths_m))):
+        return stack
+    identity = hashlib.sha256(f"{stack.fingerprint} {kept}".encode()).hexdigest()
+    return replace(stack, values=stack.values[kept], depths_m=stack.depths_m[kept], fingerprint=identity)
 
 
 def with_channels(stack: PsfStack, channels: tuple[str, ...], option: str) -> PsfStack:

@@ -21,7 +21,7 @@ from simulator.optics.metrics import (
 )
 from simulator.optics.stack import UNPROVEN, PsfStack
 from simulator.plots.psf import DepthView
-from simulator.plots.psf_facts import budget_facts, psf_facts
+from simulator.plots.psf_facts import psf_facts
 from simulator.text import length, share
 
 if TYPE_CHECKING:
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 TITLE = "Mask designs compared"
 NOTES = "Two values: at the nearest / at the farthest depth. Errors: of sampling / model / wavelengths."
 UNKNOWN = "?"
+DEPTHS = (
+    7  # whose figures of merit are those of 28 within a hundredth, for the shipped PhlatCam, DiffuserCam and FlatCam
+)
 
 
 @dataclass(frozen=True)
@@ -87,9 +90,10 @@ COLUMNS = (
     ),
     Column(
         "Distinct depths",
-        "K² / Σ C_ij², where C_ij = <H_i, H_j> / (|H_i| |H_j|) over channels and pixels is the correlation of the PSFs of "
-        "two of the K depths: 1 when all depths look alike, K when no two overlap.",
-        lambda c: f"{c.distinct_depths:.3g} of {len(c.correlations)}",
+        "1 / mean of C(u, v)² over all pairs of disparities in the range, where C = <H_u, H_v> / (|H_u| |H_v|) over channels "
+        "and pixels is the correlation of their PSFs: 1 when all depths look alike. “At least” where neighbouring planes "
+        "correlate by less than one half: with more --depths there are more.",
+        lambda c: ("at least " if np.any(np.diag(c.correlations, 1) < 0.5) else "") + f"{c.distinct_depths:.3g}",
     ),
     Column(
         "Transmitted area",
@@ -134,7 +138,7 @@ class Candidate:
         width_m: full width at half maximum of the autocorrelation, metres.
         sidelobe: the autocorrelation's highest sidelobe.
         mean_mtf: mean of the MTF from zero to Nyquist.
-        correlations: ``(K, K)`` of the PSFs of all depths.
+        correlations: ``(K, K)`` of the PSFs of the depths that were measured.
         distinct_depths: effective number of depths told apart.
         transmitted_m2: transmittance times area of the mask, square metres; None where it is not known.
         received_m2: power on the sensor per irradiance at the mask, mean over channels and scene pixels, square metres.
@@ -185,8 +189,13 @@ def load_configs(words: Sequence[str], base: Path, overrides: Sequence[str] = ()
     return configs
 
 
-def measure(name: str, config: Config, *, threads: int = 1, progress: Progress | None = None) -> Candidate:
-    """Compute a configuration's PSFs (or take them from the cache) and measure them; ``progress`` as in `Assembly`."""
+def measure(
+    name: str, config: Config, *, depths: int = DEPTHS, threads: int = 1, progress: Progress | None = None
+) -> Candidate:
+    """Compute PSFs of at most so many of a configuration's depths (or take them from the cache) and measure them.
+
+    ``progress`` as in `Assembly`.
+    """
     from simulator.assembly import Assembly
 
     def tell(stage: str, done: int, total: int) -> None:
@@ -194,14 +203,15 @@ def measure(name: str, config: Config, *, threads: int = 1, progress: Progress |
             progress(f"{stage} of {name}", done, total)
 
     assembly = Assembly(config, threads=threads, progress=tell)
-    stack = assembly.psf_stack
+    stack = assembly.some_depths(depths)
     sensor, scene = config.camera.sensor, config.scene.size
     camera = (
         f"{sensor.shape[0]} x {sensor.shape[1]} pixels of {length(stack.pixel_pitch_m)}, "
         f"{length(assembly.mask_to_sensor_m)} from the mask; scene of {scene[0]} x {scene[1]}; "
-        f"{len(stack.depths_m)} depths, {length(stack.depths_m[0])} to {length(stack.depths_m[-1])}"
+        f"depths of {length(stack.depths_m[0])} to {length(stack.depths_m[-1])}, {len(stack.depths_m)} of "
+        f"{len(assembly.depths_m)} compared"
     )
-    facts = psf_facts(stack, assembly.mask, scene, sensor.shape) + budget_facts(stack)
+    facts = psf_facts(stack, assembly.mask, scene, sensor.shape)
     return judge(name, stack, camera, facts, light_off_sensor(stack, sensor.shape, scene))
 
 
@@ -227,7 +237,7 @@ def judge(
         sidelobe=tuple(peak.sidelobe for peak in peaks),
         mean_mtf=tuple(mean_mtf(plane.mean(0), pitch_m) for plane in planes),
         correlations=correlations,
-        distinct_depths=distinct_depths(correlations),
+        distinct_depths=distinct_depths(correlations, stack.depths_m),
         transmitted_m2=record["transmitted_area_m2"] if record else stack.provenance.get("throughput_m2"),
         received_m2=tuple(float(np.mean((energy_m2 * (1 - off_sensor))[k])) for k in ends),
         off_sensor=tuple(float(np.mean(off_sensor[k])) for k in ends),
