@@ -24,7 +24,7 @@ from learning.labels import spoken
 from learning.method import Clock, Method, Progress, choose_device, linear_to_srgb, srgb_to_linear, threads_for
 from learning.models.activitynet import ActivityMethod
 from learning.models.flatnet import LearnedMethod
-from learning.reconstruct.choice import choose_method
+from learning.reconstruct.choice import Setup, choose_method
 from learning.reconstruct.inputs import Frame, Measurement, Mirror, Request, load_measurement
 from learning.reconstruct.orientation import check_frame_fits
 from simulator import __version__
@@ -98,11 +98,7 @@ def reconstruct_file(options: Options, *, progress: Progress = lambda *_: None) 
         if measurement.frame is None or options.frame is not None:  # an image's file
             evidence = check_frame_fits(measurement, setup.method.capture, options, accept=options.accept_frame)
             measurement.record["frame_evidence"] = round(evidence, 4)
-        confidence, confidence_from = find_confidence(setup.record, options.confidence)
-        if confidence is None and options.least_confidence is not None:
-            raise InputError(
-                "--least-confidence", f"the confidence is {confidence_from}; leave it out, or calibrate one"
-            )
+        confidence, confidence_from = _confidence(setup, options)
         method = setup.method.to(device)
         fitting = method.fitting if isinstance(method, ClipMethod) else None
         states = folder.absolute().with_name(f"{folder.absolute().name}.fit")
@@ -120,7 +116,7 @@ def reconstruct_file(options: Options, *, progress: Progress = lambda *_: None) 
         "measurement": measurement.record,
         **setup.record,
         "white_from": result.white_from,
-        "confidence_from": confidence_from if result.depth_m is not None else "no depth",
+        "confidence_from": confidence_from,
         "device": str(device),
         "version": __version__,
     }
@@ -227,6 +223,20 @@ class Reconstruction:
     classes: dict[str, float] = field(default_factory=dict)
 
 
+def _confidence(setup: Setup, options: Options) -> tuple[DepthConfidence | None, str]:
+    """Return the confidence of the method's depths, where there is one, and where it is from, in words."""
+    asked = options.confidence not in (None, "none") or options.least_confidence is not None
+    if len(setup.method.capture.stack.depths_m) == 1:
+        if asked:
+            option = "--confidence" if options.least_confidence is None else "--least-confidence"
+            raise InputError(option, "these PSFs have one depth, so none is reconstructed; leave it out")
+        return None, "no depth"
+    confidence, origin = find_confidence(setup.record, options.confidence)
+    if confidence is None and options.least_confidence is not None:
+        raise InputError("--least-confidence", f"the confidence is {origin}; leave it out, or calibrate one")
+    return confidence, origin
+
+
 def reconstruct(
     measurement: NDArray[Any],
     method: Method,
@@ -285,7 +295,7 @@ def reconstruct(
         reason = f"{_WHITE_PERCENTILE}th percentile of the image's positive values"
     depth_m = np.minimum(to_numpy(estimate.clamped().depth_m(capture))[0, ..., 0, :, :], FARTHEST_M)
     sure = None
-    if confidence is not None and len(capture.stack.depths_m) > 1:
+    if confidence is not None:
         sure = to_numpy(confidence.of(estimate, batch, capture))[0, ..., 0, :, :]
         depth_m = np.where(sure < least_confidence, np.float32(np.nan), depth_m)
     return Reconstruction(

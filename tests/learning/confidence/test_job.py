@@ -58,7 +58,7 @@ def test_the_command_calibrates_checks_and_reconstruct_uses_it(
 
 
 def test_too_few_scenes_and_one_depth_are_refused(
-    tiny_dataset: Path, few: None, monkeypatch: pytest.MonkeyPatch
+    tiny_dataset: Path, few: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(job, "_LEAST_SCENES", 999)
     with pytest.raises(InputError, match=r"split 'validation' has"):
@@ -67,3 +67,12 @@ def test_too_few_scenes_and_one_depth_are_refused(
         reconstruct(open_dataset(tiny_dataset, "test").folder(0), method="cls", least_confidence=1.5)
     with pytest.raises(InputError, match=r"^--least-confidence: the confidence is not asked for"):
         reconstruct(open_dataset(tiny_dataset, "test").folder(0), method="cls", confidence="none", least_confidence=0.7)
+    random = np.random.default_rng(0)
+    np.save(tmp_path / "capture.npy", random.random((32, 32, 3), np.float32))
+    np.save(tmp_path / "psf.npy", random.random((15, 15, 3), np.float32))
+    flat = {"method": "cls", "stack": str(tmp_path / "psf.npy"), "frame": "stored", "output": tmp_path / "flat"}
+    for option, value in (("least_confidence", 0.7), ("confidence", "cls.confidence.json")):
+        with pytest.raises(InputError, match=f"^--{option.replace('_', '-')}: these PSFs have one depth"):
+            reconstruct(tmp_path / "capture.npy", **flat, **{option: value})
+    reconstruct(tmp_path / "capture.npy", **flat)
+    assert json.loads((tmp_path / "flat" / "reconstruction.json").read_text())["confidence_from"] == "no depth"
