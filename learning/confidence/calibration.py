@@ -30,6 +30,8 @@ TOLERANCE = 0.1
 """A depth is right if its disparity errs by no more than this share of the range between the nearest and farthest plane."""
 UNKNOWN = 0.5
 """A depth is given as unknown where it is rather wrong than right."""
+DARK = 0.01
+"""Of white: of less there is no depth to be had, whatever the noise that methods leave there looks like."""
 FEATURES = ("light", "texture", "roughness", "noise", "disparity")
 _STATISTICS = ("means", "deviations", "lowest", "highest")
 _PRODUCTS = tuple(map(list, zip(*combinations_with_replacement(range(len(FEATURES)), 2), strict=True)))
@@ -98,6 +100,11 @@ def features(estimate: Estimate, measurement: Tensor, capture: CaptureModel) -> 
     spread = noise.clamp_min(_LEAST_NOISE).log10().reshape(-1, *[1] * (disparity.ndim - 1)).expand_as(disparity)
     logs = [values.clamp_min(_LEAST).log2() for values in (light, _deviation(luminance), _deviation(disparity))]
     return torch.stack([*logs, spread.to(light), disparity], dim=-1)
+
+
+def mean_light(radiance: Tensor) -> Tensor:
+    """Return the mean radiance ``(..., 1, h, w)`` around each pixel of ``(..., 3, h, w)``, over the features' window."""
+    return _window(radiance.mean(dim=-3, keepdim=True))
 
 
 def is_right(estimate: Estimate, disparity: Tensor) -> Tensor:

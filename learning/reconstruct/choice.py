@@ -30,11 +30,15 @@ _TYPICAL = "twice the mean radiance of a scene that sends this much light"
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """A method for a measurement, on the CPU, its name in names of files, and a record of how it was chosen."""
+    """A method for a measurement, on the CPU, its name in names of files, and a record of how it was chosen.
+
+    ``known_white`` says whether the method's white is that of like scenes, or guessed from the measurement.
+    """
 
     method: Method
     name: str
     record: dict[str, Any]
+    known_white: bool = True
 
 
 def choose_method(measurement: Measurement, request: Request) -> Setup:
@@ -142,9 +146,8 @@ def _classical(measurement: Measurement, request: Request, name: str) -> Setup:
         "files": {key: sha256_file(path) for key, path in learned_files(name, known | parameters, "--set").items()},
         "camera": _camera_record(capture, numbers_from, white_from),
     }
-    if flat:
-        return Setup(PlanarMethod(capture, name, parameters), name, record)
-    return Setup(build_method(capture, name, parameters), name, record)
+    method = PlanarMethod(capture, name, parameters) if flat else build_method(capture, name, parameters)
+    return Setup(method, name, record, known_white=white_from != _TYPICAL)
 
 
 def _parameters(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from learning.camera import CaptureModel
 from learning.classical.clips import ClipMethod
 from learning.classical.method import ClassicalMethod, PlanarMethod
-from learning.confidence.calibration import UNKNOWN, DepthConfidence
+from learning.confidence.calibration import DARK, UNKNOWN, DepthConfidence, mean_light
 from learning.confidence.files import find_confidence
 from learning.labels import spoken
 from learning.method import Clock, Method, Progress, choose_device, linear_to_srgb, srgb_to_linear, threads_for
@@ -110,7 +110,7 @@ def reconstruct_file(options: Options, *, progress: Progress = lambda *_: None) 
                 "--seconds", f"{method.name} is not fitted to the capture; leave it out, or take udn or nstm"
             )
         told: dict[str, Any] = {"volume": options.volume, "white": options.white, "device": device}
-        told |= {"confidence": confidence, "least_confidence": least}
+        told |= {"confidence": confidence, "least_confidence": least, "known_white": setup.known_white}
         result = reconstruct(measurement.values, method, **told)
     record = {
         "measurement": measurement.record,
@@ -245,6 +245,7 @@ def reconstruct(
     white: float | None = None,
     confidence: DepthConfidence | None = None,
     least_confidence: float = UNKNOWN,
+    known_white: bool = True,
     device: torch.device | str = "cpu",
 ) -> Reconstruction:
     """Reconstruct a still or clip of one measurement ``(C, H, W)``, DN / 2^bits, by a method on ``device``.
@@ -252,7 +253,9 @@ def reconstruct(
     The volume is given where it is wanted.
 
     ``white`` is the radiance that the image shows as 1, None shows its brightest half per cent as white; the radiance itself
-    is never clipped. With a calibrated ``confidence``, depths of less than ``least_confidence`` are unknown.
+    is never clipped. With a calibrated ``confidence``, depths of less than ``least_confidence`` are unknown; where the
+    method's white is a guess (not ``known_white``), so that the calibration does not know what is dark, also those of less
+    light than `DARK` of the image's white.
 
     Raises:
         InputError: NaN or infinite numbers, a shape that is not the camera's, or a method that has no volume to show.
@@ -297,6 +300,8 @@ def reconstruct(
     sure = None
     if confidence is not None:
         sure = to_numpy(confidence.of(estimate, batch, capture))[0, ..., 0, :, :]
+        if not known_white:
+            sure = np.where(mean_light(torch.from_numpy(radiance)).numpy()[..., 0, :, :] < DARK * white, 0, sure)
         depth_m = np.where(sure < least_confidence, np.float32(np.nan), depth_m)
     return Reconstruction(
         radiance=radiance,

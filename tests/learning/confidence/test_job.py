@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.ndimage import gaussian_filter
+from scipy.signal import fftconvolve
 
 from learning.commands import confidence, reconstruct
 from learning.confidence import job
@@ -16,6 +18,8 @@ from learning.confidence.files import read_confidence
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
 from simulator.io.exr import read_exr
+from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import write_psf_stack
 from simulator.plots.drawing import UNSEEN
 
 
@@ -76,3 +80,25 @@ def test_too_few_scenes_and_one_depth_are_refused(
             reconstruct(tmp_path / "capture.npy", **flat, **{option: value})
     reconstruct(tmp_path / "capture.npy", **flat)
     assert json.loads((tmp_path / "flat" / "reconstruction.json").read_text())["confidence_from"] == "no depth"
+
+
+def test_where_a_capture_of_unknown_exposure_is_dark_the_depth_is_unknown(tmp_path: Path) -> None:
+    """A lit square, and nothing around it but what noise leaves in the estimate."""
+    rng, size = np.random.default_rng(0), 96
+    psfs = (rng.random((3, 1, 31, 31)) < 0.05) * rng.random((3, 1, 31, 31))
+    stack = PsfStack(psfs, np.array([0.04, 0.08, 0.2]), 19.2e-6, ("grey",), "random", {"kind": "measured"})
+    write_psf_stack(tmp_path / "stack", stack)
+    scene = np.zeros((size, size))
+    scene[32:64, 32:64] = rng.random((32, 32))
+    capture = fftconvolve(scene, psfs[1, 0], mode="same")
+    np.save(tmp_path / "capture.npy", 0.8 * capture / capture.max() + rng.normal(0, 0.004, capture.shape))
+    options = {"method": "cls", "stack": str(tmp_path / "stack"), "frame": "stored"}
+    reconstruct(tmp_path / "capture.npy", output=tmp_path / "whole", confidence="none", **options)
+    assert np.isfinite(read_exr(tmp_path / "whole" / "depth.exr")[0]["Z"]).all()
+    reconstruct(tmp_path / "capture.npy", output=tmp_path / "sure", least_confidence=0.01, **options)
+    known = np.isfinite(read_exr(tmp_path / "sure" / "depth.exr", finite=False)[0]["Z"])
+    radiance = np.mean(list(read_exr(tmp_path / "sure" / "image.exr")[0].values()), axis=0)
+    light = gaussian_filter(radiance, 1.5) / np.percentile(radiance[radiance > 0], 99.5)
+    assert known[light < 0.008].size > 1000
+    assert not known[light < 0.008].any()
+    assert known[light > 0.1].mean() > 0.5
