@@ -9,7 +9,10 @@
 from __future__ import annotations
 
 import argparse
+import base64
+import io
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -23,11 +26,13 @@ DOCS = Path(__file__).parent
 IMAGES, SCRIPTS = DOCS / "images", DOCS / "examples"
 HEIGHT, GAP, WIDEST, QUALITY = 256, 8, 1400, 85
 
-EXAMPLES = {  # what each script writes, to be shown side by side as docs/images/examples/NAME.webp
+# What each script writes, to be shown side by side as docs/images/examples/NAME.webp; #3 is the third picture of a page.
+EXAMPLES = {
     "light_path.py": ["light_path.png"],
     "my_mask.sh": ["my_mask.png"],
     "my_scenes.sh": ["my_scenes.png"],
     "my_capture.sh": ["capture.png", "found/image.png"],
+    "calibrate.sh": [f"lab_calibrated/report.html#{number}" for number in (1, 4, 5)],
     "depth.sh": ["test_s00000000_flatnet3d/image.png", "test_s00000000_flatnet3d/depth.png"],
     "video.sh": ["test_s00000000_videonet/film.png"],
     "moving_3d.sh": ["test_s00000000_videonet3d/film.png"],
@@ -66,7 +71,7 @@ def run(name: str, folder: Path, *arguments: str) -> None:
 
 def drawn(name: str, folder: Path) -> Image.Image:
     """Return what an example drew in a folder as one picture."""
-    tiles = [Image.open(folder / file).convert("RGB") for file in EXAMPLES[name]]
+    tiles = [_picture(folder, file).convert("RGB") for file in EXAMPLES[name]]
     if len(tiles) > 1:
         tiles = [
             tile.resize((round(tile.width * HEIGHT / tile.height), HEIGHT), Image.Resampling.BICUBIC) for tile in tiles
@@ -78,6 +83,14 @@ def drawn(name: str, folder: Path) -> Image.Image:
         left += tile.width + GAP
     sheet.thumbnail((WIDEST, 10 * WIDEST))
     return sheet
+
+
+def _picture(folder: Path, file: str) -> Image.Image:
+    page, _, number = file.partition("#")
+    if not number:
+        return Image.open(folder / file)
+    found = re.findall(r"data:image/png;base64,([^\"]+)", (folder / page).read_text(encoding="utf-8"))
+    return Image.open(io.BytesIO(base64.b64decode(found[int(number) - 1])))
 
 
 def example_picture(name: str) -> Path:
