@@ -116,7 +116,7 @@ def main() -> None:
             print(f"{name:30} {statistics.median(seconds):6.2f} CPU s", flush=True)
         for name in ("compare, nothing computed yet", "compare, again"):
             print(f"{name:30} {seconds_of(COMPARE, Path(folder)):6.2f} CPU s", flush=True)
-        # As after the README's first command.
+        # The README's first command computes the same PSFs.
         shutil.rmtree(Path(folder) / "cache")
         for name, arguments in (("psf, the default camera", "psf sim_config.yaml"), ("compare, after it", COMPARE)):
             print(f"{name:30} {seconds_of(arguments, Path(folder)):6.2f} CPU s", flush=True)

@@ -104,7 +104,7 @@ def swap_masks(config: SwapConfig, *, progress: Progress = lambda *_: None, say:
     merits: dict[str, Candidate] = {}
     for name, (learned, _) in cameras.items():
         with _mask_named(name):
-            merits[name] = measure(name, learned, progress=progress)
+            merits[name] = measure(name, learned, depths=None, progress=progress)  # those of the data sets made next
     for name, (learned, test) in cameras.items():
         tell, speak = partial(_tell, progress, name), partial(_speak, say, name)
         _generate(learned, tell)

@@ -280,23 +280,24 @@ class Assembly:
         return budget.with_budget(stack, errors, [self.simulated_field.budget_row(stack)])
 
     def some_depths(self, most: int) -> PsfStack:
-        """Return the PSFs of at most so many of the stack's depths: nearest, farthest and others evenly between.
+        """Return the PSFs of at most so many of the stack's depths (of two at least): both ends, and others evenly between.
 
         Of a computed stack only these are computed, unless the whole is in the cache. The errors that it carries (sampling,
-        model, wavelengths) are judged at the nearest and the farthest depth, so they are those of the whole.
+        model, wavelengths) are judged at the ends, so they are those of the whole.
         """
         kept = np.unique(np.linspace(0, len(self.depths_m) - 1, max(most, 2)).round().astype(int))
         with self.config.refusals("psf"):
             if not isinstance(self.config.psf, ComputedPsf):
                 return of_depths(self.psf_stack, kept)
-            config = self.psf_config
-            if is_cached("psf", self._stack_key(config)):
-                stack = of_depths(self.psf_stack, kept)
-                errors = stack.provenance["errors"]
+            whole, mask = self.psf_config, self.mask
+            assert mask is not None
+            some = replace(whole, depths_m=tuple(whole.depths_m[k] for k in kept))
+            if is_cached("psf", self._stack_key(whole)):
+                taken = of_depths(self._proven_stack(whole), kept)
+                stack = replace(taken, fingerprint=psf_fingerprint(mask, self.geometry, some))
             else:
-                stack = self._proven_stack(replace(config, depths_m=tuple(config.depths_m[k] for k in kept)))
-                errors = self._quick_errors(replace(config, depths_m=config.depths_m[:1]))
-            return budget.with_budget(stack, {name: errors[name] for name in ("model", "spectrum") if name in errors})
+                stack = self._proven_stack(some)
+            return budget.with_budget(stack, self._quick_errors(replace(whole, depths_m=whole.depths_m[:1])))
 
     def _proven_stack(self, psf_config: PsfConfig) -> PsfStack:
         """Return the mask's PSFs with their sampling proven (cached)."""

@@ -32,12 +32,13 @@ Path("lab").mkdir()
 
 
 def save(name: str, signal: np.ndarray) -> None:
-    """Save two frames of a signal, of full scale: in the stored frame, which the sensor's own is rotated by 180 degrees."""
+    """Save two frames of a signal (shares of full scale, stored frame) as the sensor reads them: rotated by 180 degrees."""
     for frame in range(2):
         numbers = np.round(sensor.expose(stray + signal, rng) * 2**12).astype(np.uint16)
         tifffile.imwrite(f"lab/{name}_{frame}.tif", np.moveaxis(numbers, 0, -1)[::-1, ::-1], photometric="rgb")
 
 
 for depth_m, psf in zip(assembly.depths_m, light, strict=True):
+    # The lamp is set anew at each distance, the exposure time stays, so that names need not tell it.
     save(f"{depth_m * 100:g}cm", np.pad(psf / psf.max() * 0.7, ((0, 0), (1, 0), (1, 0))))
 save("dark", np.zeros(1))

@@ -31,7 +31,7 @@ TOLERANCE = 0.1
 UNKNOWN = 0.5
 """A depth is given as unknown where it is rather wrong than right."""
 DARK = 0.01
-"""Of white: of less there is no depth to be had, whatever the noise that methods leave there looks like."""
+"""As a share of white: where the image is darker, depth cannot be estimated; what methods leave there is noise."""
 FEATURES = ("light", "texture", "roughness", "noise", "disparity")
 _STATISTICS = ("means", "deviations", "lowest", "highest")
 _PRODUCTS = tuple(map(list, zip(*combinations_with_replacement(range(len(FEATURES)), 2), strict=True)))

@@ -32,7 +32,7 @@ _TYPICAL = "twice the mean radiance of a scene that sends this much light"
 class Setup:
     """A method for a measurement, on the CPU, its name in names of files, and a record of how it was chosen.
 
-    ``known_white`` says whether the method's white is that of like scenes, or guessed from the measurement.
+    ``known_white`` says whether the method's white is that of like scenes at this exposure, or a guess.
     """
 
     method: Method
@@ -109,7 +109,7 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
         "architecture": checkpoint.architecture,
         "camera": _camera_record(capture, numbers, "the checkpoint's") | {"psfs": psfs},
     }
-    return Setup(learned_method(name, checkpoint.network, capture), name, record)
+    return Setup(learned_method(name, checkpoint.network, capture), name, record, known_white=dataset is not None)
 
 
 def _classical(measurement: Measurement, request: Request, name: str) -> Setup:

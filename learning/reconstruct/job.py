@@ -255,7 +255,7 @@ def reconstruct(
     ``white`` is the radiance that the image shows as 1, None shows its brightest half per cent as white; the radiance itself
     is never clipped. With a calibrated ``confidence``, depths of less than ``least_confidence`` are unknown; where the
     method's white is a guess (not ``known_white``), so that the calibration does not know what is dark, also those of less
-    light than `DARK` of the image's white.
+    light than `DARK` of the image's own white.
 
     Raises:
         InputError: NaN or infinite numbers, a shape that is not the camera's, or a method that has no volume to show.
@@ -291,17 +291,17 @@ def reconstruct(
     else:
         raise InputError("volume", f"{method.name} has none to show; leave it out")
     radiance = to_numpy(srgb_to_linear(estimate.image, capture.white, clip=False))[0]
+    lit = radiance[radiance > 0]
+    own_white = float(np.percentile(lit, _WHITE_PERCENTILE)) if lit.size else 1.0
     reason = "as told"
     if white is None:
-        lit = radiance[radiance > 0]
-        white = float(np.percentile(lit, _WHITE_PERCENTILE)) if lit.size else 1.0
-        reason = f"{_WHITE_PERCENTILE}th percentile of the image's positive values"
+        white, reason = own_white, f"{_WHITE_PERCENTILE}th percentile of the image's positive values"
     depth_m = np.minimum(to_numpy(estimate.clamped().depth_m(capture))[0, ..., 0, :, :], FARTHEST_M)
     sure = None
-    if confidence is not None:
+    if confidence is not None and len(capture.stack.depths_m) > 1:
         sure = to_numpy(confidence.of(estimate, batch, capture))[0, ..., 0, :, :]
         if not known_white:
-            sure = np.where(mean_light(torch.from_numpy(radiance)).numpy()[..., 0, :, :] < DARK * white, 0, sure)
+            sure = np.where(mean_light(torch.from_numpy(radiance)).numpy()[..., 0, :, :] < DARK * own_white, 0, sure)
         depth_m = np.where(sure < least_confidence, np.float32(np.nan), depth_m)
     return Reconstruction(
         radiance=radiance,

@@ -170,23 +170,25 @@ def depth_correlations(stack: PsfStack) -> NDArray[np.float64]:
 def distinct_depths(correlations: NDArray[np.float64], depths_m: NDArray[np.float64]) -> float:
     """Return the effective number of depths that PSFs tell apart: 1 / mean of C(u, v)^2 over all pairs of disparities.
 
-    It is the participation ratio (tr C)^2 / tr(C^2) of the eigenvalues of the correlations of a continuous range of
-    disparity: 1 when all PSFs are alike, the more the fewer overlap. The mean is taken by the trapezoidal rule, so K planes
-    show no more than (K - 1)^2 / (K - 1.5), and less than there are where neighbours hardly correlate.
+    It is the participation ratio (tr C)^2 / tr(C^2) of the eigenvalues of the correlations over a continuous range of
+    disparity: 1 when all PSFs are alike, the more the fewer overlap. C^2 is interpolated linearly on triangles whose long
+    sides run along its crest u = v. Where neighbouring planes correlate by 0.6 or more, that errs by less than a tenth,
+    whether correlations fall like a Gaussian or an exponential; where they hardly correlate, K planes are too few to tell.
 
     Args:
         correlations: ``(K, K)`` of :func:`depth_correlations`.
         depths_m: ``(K,)`` metres, increasing.
 
     Example:
-        >>> distinct_depths(np.ones((3, 3)), np.array([0.05, 0.1, np.inf]))
+        >>> round(distinct_depths(np.ones((3, 3)), np.array([0.05, 0.1, np.inf])), 6)
         1.0
     """
     if len(depths_m) == 1:
         return 1.0
     steps = -np.diff(1 / np.asarray(depths_m, np.float64))
-    weights = (np.append(steps, 0) + np.append(0, steps)) / (2 * steps.sum())
-    return float(1 / (weights @ correlations**2 @ weights))
+    areas, squares = np.outer(steps, steps), correlations**2
+    along, across = squares[:-1, :-1] + squares[1:, 1:], squares[1:, :-1] + squares[:-1, 1:]
+    return float(areas.sum() / np.sum(areas * (along / 3 + across / 6)))
 
 
 # ---- light on the sensor

@@ -91,9 +91,9 @@ COLUMNS = (
     Column(
         "Distinct depths",
         "1 / mean of C(u, v)² over all pairs of disparities in the range, where C = <H_u, H_v> / (|H_u| |H_v|) over channels "
-        "and pixels is the correlation of their PSFs: 1 when all depths look alike. “At least” where neighbouring planes "
-        "correlate by less than one half: with more --depths there are more.",
-        lambda c: ("at least " if np.any(np.diag(c.correlations, 1) < 0.5) else "") + f"{c.distinct_depths:.3g}",
+        "and pixels is the correlation of their PSFs: 1 when all depths look alike. “About” where neighbouring planes "
+        "correlate by less than one half: more --depths tell.",
+        lambda c: ("about " if np.any(np.diag(c.correlations, 1) < 0.5) else "") + f"{c.distinct_depths:.3g}",
     ),
     Column(
         "Transmitted area",
@@ -190,11 +190,11 @@ def load_configs(words: Sequence[str], base: Path, overrides: Sequence[str] = ()
 
 
 def measure(
-    name: str, config: Config, *, depths: int = DEPTHS, threads: int = 1, progress: Progress | None = None
+    name: str, config: Config, *, depths: int | None = DEPTHS, threads: int = 1, progress: Progress | None = None
 ) -> Candidate:
     """Compute PSFs of at most so many of a configuration's depths (or take them from the cache) and measure them.
 
-    ``progress`` as in `Assembly`.
+    ``depths`` None takes all; ``progress`` as in `Assembly`.
     """
     from simulator.assembly import Assembly
 
@@ -203,7 +203,7 @@ def measure(
             progress(f"{stage} of {name}", done, total)
 
     assembly = Assembly(config, threads=threads, progress=tell)
-    stack = assembly.some_depths(depths)
+    stack = assembly.some_depths(len(assembly.depths_m) if depths is None else depths)
     sensor, scene = config.camera.sensor, config.scene.size
     camera = (
         f"{sensor.shape[0]} x {sensor.shape[1]} pixels of {length(stack.pixel_pitch_m)}, "

@@ -238,7 +238,7 @@ def _section(candidate: Candidate) -> str:
     )
     return (
         f'<h2>{escape(candidate.name)}</h2><div class="panels">{panels}</div>'
-        f'<details><summary>What its stack records</summary><table class="facts">{facts}</table></details>'
+        f'<details><summary>What is known of its PSFs</summary><table class="facts">{facts}</table></details>'
     )
 
 

@@ -142,21 +142,34 @@ class TestStacks:
         assert first.fingerprint == again.fingerprint
         assert first.provenance == again.provenance
 
-    def test_some_depths_are_those_of_the_whole_stack(self, trial) -> None:
-        """Computed alone, or taken from the whole where that is there: the same light, the same errors."""
-        depths = [4, 5, 6, 8]
-        config = load_config(trial.write(psf={"depths_cm": depths, "wavelengths_per_channel": 1, "accept_error": 1.04}))
+    def test_some_depths_are_those_of_the_whole_stack(self, trial, tmp_path: Path, monkeypatch) -> None:
+        """Computed alone, or taken from the whole where that is there: the same light, errors and fingerprint."""
+        psf = {"depths_cm": [4, 5, 6, 8], "wavelengths_per_channel": 1, "accept_error": 1}
+        config = load_config(trial.write(psf=psf))
         calls: list[tuple[str, int, int]] = []
+        monkeypatch.setenv("FLATLIGHT_CACHE_DIR", str(tmp_path / "alone"))
         alone = Assembly(config, progress=lambda *at: calls.append(at)).some_depths(3)
         assert calls[-1] == ("PSFs", 9, 9)
         np.testing.assert_allclose(alone.depths_m, [0.04, 0.06, 0.08])
-        whole = Assembly(config).psf_stack
-        taken = Assembly(config).some_depths(3)
+        monkeypatch.setenv("FLATLIGHT_CACHE_DIR", str(tmp_path / "whole"))
+        whole, calls = Assembly(config).psf_stack, []
+        taken = Assembly(config, progress=lambda *at: calls.append(at)).some_depths(3)
+        assert not calls
         np.testing.assert_array_equal(taken.values, whole.values[[0, 2, 3]])
         np.testing.assert_array_equal(taken.values, alone.values)
-        for errors in ("sampling", "errors", "budget"):
-            assert taken.provenance[errors] == alone.provenance[errors]
-        assert set(alone.provenance["errors"]) == {"model", "spectrum"} < set(whole.provenance["errors"])
+        assert taken.provenance == alone.provenance
+        assert taken.fingerprint == alone.fingerprint
+        assert set(alone.provenance["errors"]) == {"check", "model", "spectrum"} < set(whole.provenance["errors"])
+
+    def test_some_depths_of_a_measured_stack(self, trial) -> None:
+        images = np.random.default_rng(0).random((4, 12, 16))
+        np.save(trial.folder / "psf.npy", images)
+        psf = {"measured": ["psf.npy"], "depths_cm": [4, 5, 6, 8], "frame": "stored", "background": "none"}
+        config = load_config(trial.write(camera={"mask": None}, psf=psf | {"throughput_mm2": 0.5}))
+        some, whole = Assembly(config).some_depths(2), Assembly(config).psf_stack
+        np.testing.assert_allclose(some.depths_m, [0.04, 0.08])
+        np.testing.assert_array_equal(some.values, whole.values[[0, 3]])
+        assert some.fingerprint != whole.fingerprint
 
     @pytest.mark.slow
     def test_threads_change_nothing(self, trial) -> None:
@@ -191,7 +204,6 @@ class TestStacks:
         assert np.argwhere(stack.values[0, 0]).tolist() == [[5 + 3, 7 - 4]]
         assert stack.energy_m2() == pytest.approx(0.5e-6)
         assert Assembly(config).view.far_m == np.inf
-        assert Assembly(config).some_depths(7).fingerprint == stack.fingerprint
         source = Assembly(config, "none").source
         assert [path.name for path in Assembly(config).having(source=source).input_files] == ["plugins.py", "psf.npy"]
 

@@ -1,9 +1,13 @@
 """``compare`` as users meet it."""
 
+import inspect
 from pathlib import Path
 
 import pytest
 from PIL import Image
+
+from simulator.commands.compare import compare
+from simulator.plots.comparison import DEPTHS
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 
@@ -23,6 +27,10 @@ def test_a_page_and_a_picture(flatlight, trial, tmp_path: Path) -> None:
         assert words in page
     with Image.open(tmp_path / "both.png") as picture:
         assert picture.format == "PNG"
+
+
+def test_the_default_number_of_depths_is_that_of_the_comparison() -> None:
+    assert inspect.signature(compare).parameters["depths"].default == DEPTHS
 
 
 def test_mistakes(flatlight, one_error, trial, tmp_path: Path) -> None:

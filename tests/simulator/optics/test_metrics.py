@@ -174,14 +174,24 @@ def test_identical_depths_are_one_depth() -> None:
 
 
 @pytest.mark.parametrize("spacing", ["disparity", "log"])
-def test_distinct_depths_are_those_of_a_continuous_range(spacing: str) -> None:
-    """C = exp(-(u - v)^2 / 2 w^2) has the mean square w sqrt(pi) erf(1 / w) - w^2 (1 - exp(-1 / w^2)) over [0, 1]^2."""
-    depths_m, width = depth_planes(0.04, 0.4, 60, spacing), 0.2
-    u = (1 / depths_m - 2.5) / 22.5
-    mean = width * np.sqrt(np.pi) * erf(1 / width) - width**2 * (1 - np.exp(-1 / width**2))
-    correlations = np.exp(-((u[:, None] - u) ** 2) / (2 * width**2))
-    # The trapezoidal rule's error falls with the square of the step: 1e-3 at 60 even ones, a little more at uneven ones.
-    assert distinct_depths(correlations, depths_m) == pytest.approx(1 / mean, rel=5e-3)
+@pytest.mark.parametrize(("count", "tolerance"), [(60, 5e-3), (7, 0.03), (4, 0.08)])
+def test_distinct_depths_of_few_planes_are_those_of_the_continuous_range(
+    spacing: str, count: int, tolerance: float
+) -> None:
+    """Gaussian and exponential correlations, whose mean squares over [0, 1]^2 are known.
+
+    That of exp(-(u - v)^2 / 2 w^2) is w sqrt(pi) erf(1 / w) - w^2 (1 - exp(-1 / w^2)), that of exp(-|u - v| / w) is
+    w - w^2 (1 - exp(-2 / w)) / 2. Neighbours of four even planes correlate by 0.71 here.
+    """
+    depths_m = depth_planes(0.04, 0.1, count, spacing)
+    u = (1 / depths_m - 10) / 15
+    apart = np.abs(u[:, None] - u)
+    w = 0.4
+    gaussian = w * np.sqrt(np.pi) * erf(1 / w) - w**2 * (1 - np.exp(-1 / w**2))
+    assert distinct_depths(np.exp(-(apart**2) / (2 * w**2)), depths_m) == pytest.approx(1 / gaussian, rel=tolerance)
+    w = 1.0
+    exponential = w - w**2 * (1 - np.exp(-2 / w)) / 2
+    assert distinct_depths(np.exp(-apart / w), depths_m) == pytest.approx(1 / exponential, rel=tolerance)
 
 
 def test_shifted_gaussians_correlate_as_their_autocorrelation() -> None:
