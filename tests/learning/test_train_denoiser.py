@@ -163,6 +163,7 @@ def test_refuses_another_training_in_its_folder(denoiser_settings: Callable[...,
         train_denoiser(denoiser_settings(steps=1, seed=4))
 
 
+@pytest.mark.slow
 def test_pictures_of_another_size_are_refused_before_the_folder_is_made(
     denoiser_settings: Callable[..., DenoiserConfig], tiny_dataset: Path, learning_trial: Any
 ) -> None:

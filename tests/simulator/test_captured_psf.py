@@ -71,6 +71,7 @@ def test_every_key_reaches_the_stack(capture, one) -> None:
     assert distance(nominal, captured) > 1e-3
 
 
+@pytest.mark.slow
 def test_an_led_is_seen_by_every_channel(capture) -> None:
     _, captured = capture(**(NO_ERROR | {"illuminant": {"led_nm": 530, "fwhm_nm": 10}}))
     # Deep blue light spreads less than daylight's red: the grid must stay the nominal one all the same.

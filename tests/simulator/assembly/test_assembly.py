@@ -142,6 +142,7 @@ class TestStacks:
         assert first.fingerprint == again.fingerprint
         assert first.provenance == again.provenance
 
+    @pytest.mark.slow
     def test_some_depths_are_those_of_the_whole_stack(self, trial, tmp_path: Path, monkeypatch) -> None:
         """Computed alone, or taken from the whole where that is there: the same light, errors and fingerprint."""
         psf = {"depths_cm": [4, 5, 6, 8], "wavelengths_per_channel": 1, "accept_error": 1}

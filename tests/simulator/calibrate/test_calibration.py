@@ -128,6 +128,7 @@ def test_a_zero_of_the_scale_beside_the_mask_is_told_not_assumed(truth, recorded
     assert "--offset-mm" not in describe_calibration(mended)
 
 
+@pytest.mark.slow
 def test_few_distances_say_what_they_cannot(truth, recorded, tmp_path) -> None:
     true = truth("flatcam")
     one = calibrate(
@@ -298,6 +299,7 @@ class TestCommand:
         assert json.loads((made / "calibration.json").read_text())["mask_to_sensor"]["distance_m"] > 0
         assert "<img" in (made / "report.html").read_text()
 
+    @pytest.mark.slow
     def test_what_it_says_to_do_next_works(self, done, command, tmp_path) -> None:
         folder, _, run = done
         (line,) = (line for line in run.stdout.splitlines() if line.startswith("use it: flatlight "))
@@ -306,6 +308,7 @@ class TestCommand:
         assert again.returncode == 0, again.stderr
         assert (tmp_path / "found" / "image.png").is_file()
 
+    @pytest.mark.slow
     def test_it_replaces_its_own_results_only(self, done, command, tmp_path) -> None:
         folder, options, _ = done
         assert command("calibrate", folder, *options).returncode == 0

@@ -46,6 +46,7 @@ def test_the_captured_psfs_and_an_engine_without_workers(trial) -> None:
     assert captured.stack_bytes > 1.5 * plain.stack_bytes
 
 
+@pytest.mark.slow
 def test_the_command_prints_it_and_writes_nothing(trial, flatlight) -> None:
     path = trial.write(dataset=DATASET | {"train": 1_000_000}, camera={"exposure": {"full_scale": "auto"}})
     code, out, _ = flatlight("generate", path, "--estimate", "--price", "0.04")

@@ -314,6 +314,7 @@ def test_a_plugin_that_changes_the_folder_moves_no_sample(
     assert not list((trial.folder / "elsewhere").iterdir())
 
 
+@pytest.mark.slow
 def test_progress_counts_to_the_end(trial) -> None:
     seen: list[tuple[str, int, int]] = []
     said: list[str] = []

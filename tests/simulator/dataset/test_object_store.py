@@ -46,6 +46,7 @@ def written(trial, root: StorePath, **changes: object) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_data_set_in_a_store(trial, root: StorePath, local: Path, decided) -> None:
     path = written(trial, root)
     result = generate(path)

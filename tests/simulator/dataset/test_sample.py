@@ -154,6 +154,7 @@ def test_wrong_extras_are_refused(samples: ModuleType, tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:the PSF's sampling error")
+@pytest.mark.slow
 def test_a_data_set_holds_what_its_renderer_was_asked_for(trial) -> None:
     scene = {"family": "flying_things", "size": [16, 20], "samples_per_pixel": 1, "objects": 4}
     render = {"backend": "scalar", "outputs": ["shape_id", "normal", "albedo", "hidden"], "hidden_layers": 2}
